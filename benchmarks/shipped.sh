@@ -15,34 +15,23 @@ study dawn terrain --preset dawn
 study terrain terrain --modes camera memory
 study standing terrain --preset standing
 study memory memory
-version_1="gap:3 platform:6 stairs_up:6 stairs_down:10 obstacles:10"
-study blackout memory --grounds $version_1 --without 2 6
-study blackout_on_the_way memory --grounds $version_1 --without 2 6 --before 1.5
+grounds="gap:3 platform:6 stairs_up:6 stairs_down:10 obstacles:10"
+study blackout memory --grounds $grounds --without 2 6
+study blackout_on_the_way memory --grounds $grounds --without 2 6 --before 1.5
 study gap_on_the_way memory --grounds gap:3 --without 6 --before 1.5 --robots 100 --modes memory camera --seed 2
-study two_seconds memory --grounds $version_1 --without 2 --robots 100 --modes memory
+study two_seconds memory --grounds $grounds --without 2 --robots 100 --modes memory
 study noise faults --preset noise
 study stairs faults --preset noise --grounds stairs_up --level 5 --onsets 1.5 --seconds 10
 study healthy faults --faults gaussian:4 frozen:5 --grounds flat --onsets 0.5 --healthy-minutes 200
 study grass faults --faults tall_grass --onsets 1.5 --healthy-minutes 0 --modes memory
 study camera_use camera-use
 study margins margins --quick --seconds 5
-python benchmarks/course.py && cp results/course/summary.json benchmarks/results/shipped/course.json
 python benchmarks/filter.py && cp results/filter/summary.json benchmarks/results/shipped/filter.json
 before_the_edge="--severities 5 --onsets 1.5 --healthy-minutes 0"
 study severity_5 faults $before_the_edge --modes camera memory blind
 study severity_5_rules faults $before_the_edge --modes switch oracle
 study unnoticed faults --faults saturated:3 saturated:4 glass:3 glass:4 near_field:3 near_field:4 edge_shadow:3 \
     edge_shadow:4 --onsets 1.5 --healthy-minutes 0 --modes camera memory
-for switch in return gate; do
-    python benchmarks/switches.py $switch faults --study.severities 5 --study.onsets 1.5 --study.healthy-minutes 0 \
-        --study.out results/severity_5_$switch
-done
-for name in severity_5 severity_5_rules severity_5_return severity_5_gate unnoticed; do
-    cp "results/$name/result.json" "benchmarks/results/shipped/$name.json"
-done
-renet evaluate faults --modes camera memory blind --out results/version_1
-cp results/version_1/result.json benchmarks/results/leaderboard/go1-parkour.json
-cp results/version_1/summary.csv benchmarks/results/leaderboard/faults.csv
 figure success/success.png success.png
 figure memory/memory.png memory.png
 figure noise/noise.png noise.png

@@ -1,8 +1,7 @@
-"""MuJoCo Playground's Go1 policy, which sees no image, under two studies.
+"""Whether MuJoCo Playground's Go1 policy uses its camera: it sees no image.
 
-`python examples/playground_policy.py evaluate playground --model go1_policy.onnx` says so, and
-`… evaluate playground-benchmark` what it crosses; the model is
-mujoco_playground/experimental/sim2sim/onnx/go1_policy.onnx of Playground's repository.
+`python examples/playground_policy.py evaluate playground --model go1_policy.onnx` says so; the
+model is mujoco_playground/experimental/sim2sim/onnx/go1_policy.onnx of Playground's repository.
 """
 
 from dataclasses import dataclass
@@ -13,9 +12,7 @@ import onnxruntime as ort
 
 from renet.cli import COMMANDS, Command, main
 from renet.errors import RenetError
-from renet.evaluation.rollout import Mode
 from renet.evaluation.studies.camera_use import CameraUseStudy
-from renet.evaluation.studies.crossing import CrossingStudy
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 from third_party_policy import TheirEvaluator
 
@@ -63,16 +60,7 @@ class CameraUse(Playground, CameraUseStudy):
     model: Path = Path("go1_policy.onnx")
 
 
-@dataclass(frozen=True)
-class Benchmark(Playground, CrossingStudy):
-    """What Playground's Go1 policy crosses; cameras that fail do not change it."""
-
-    model: Path = Path("go1_policy.onnx")
-    modes: tuple[Mode, ...] = ("blind",)
-
-
 if __name__ == "__main__":
-    for name, study in (("", CameraUse), ("-benchmark", Benchmark)):
-        words = f"{__name__}:{study.__name__}:{study.__name__}.main"
-        COMMANDS[f"evaluate playground{name}"] = Command(study.__doc__, words)
+    words = f"{__name__}:CameraUse:CameraUse.main"
+    COMMANDS["evaluate playground"] = Command(CameraUse.__doc__, words)
     raise SystemExit(main())

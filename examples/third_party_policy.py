@@ -1,4 +1,7 @@
-"""Benchmark a policy that is not renet's: `python examples/third_party_policy.py policy.onnx`."""
+"""Study a policy that is not renet's: `python examples/third_party_policy.py policy.onnx`.
+
+`renet evaluate benchmark --policy FILE --adapter NAME` enters one in the fault benchmark.
+"""
 
 import hashlib
 import sys
@@ -11,9 +14,8 @@ import tyro
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator, Provenance
 from renet.evaluation.rollout import demand_shapes
-from renet.evaluation.studies.benchmark import read_result
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.studies.leaderboard import LeaderboardCfg, make_leaderboard
+from renet.terminal import show
 
 SHAPES = {"observation": (45,), "depth": (48, 64), "action": (12,)}  # Of each robot.
 
@@ -45,11 +47,11 @@ class TheirEvaluator(Evaluator):
 
 
 def main(model: tyro.conf.Positional[Path], results: Path = Path("results")) -> None:
-    """Run the quick fault benchmark on an ONNX policy and rank it among the results there are."""
-    FaultStudy(out=results / model.stem, quick=True).run(TheirEvaluator(model))
-    files = sorted(results.glob("*/result.json"))  # Also RENet's `--quick` one, if it is there.
-    found = tuple(file for file in files if read_result(file)["protocol"]["quick"])
-    make_leaderboard(LeaderboardCfg(found, results / "leaderboard.md"))
+    """Look at single faults with an ONNX policy, and print who crosses."""
+    study = FaultStudy(out=results / model.stem, quick=True)
+    summary = study.run(TheirEvaluator(model))
+    for title, header, rows in study.tables(summary):
+        show(title, header, rows)
 
 
 if __name__ == "__main__":

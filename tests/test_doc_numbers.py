@@ -4,14 +4,11 @@ import json
 import re
 import shutil
 import statistics
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
 import tables
-from renet.evaluation.studies.benchmark import read_result
-from renet.evaluation.studies.crossing import ranking
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -93,54 +90,6 @@ def test_what_two_seconds_without_an_image_cost():
     for ground, (points, low, high) in lost.items():
         name = ground.replace("_", " ")
         assert re.search(rf"{name} {points} (points )?\([^)]*?{low} to {high}\)", text)
-
-
-def test_what_is_said_of_version_2():
-    results = [
-        read_result(RESULTS / "leaderboard_2" / f"{name}.json") for name in tables.LEADERBOARD
-    ]
-    _, _, rows = ranking(results)
-    text = " ".join((ROOT / "docs" / "crossing.md").read_text().split())
-    shipped, earlier, gate = Counter(), Counter(), Counter()
-    for counts, entry in zip((shipped, earlier, gate), (*results[:2], results[3]), strict=True):
-        for row in entry["settings"]:
-            counts[row["ground"], row["mode"]] += row["crossed"]
-    gaps = [shipped["gap", mode] for mode in ("memory", "camera", "switch", "oracle")]
-    assert "of 160, RENet crosses {}, VP {}, the paper's switch {}".format(*gaps) in text
-    assert f"crosses {gaps[3]} of the 160 gaps" in text
-    assert f"The learned gate crosses {gate['gap', 'memory']}." in text
-    assert f"without memory**, crosses {earlier['gap', 'memory']} gaps" in text
-    assert f"OP crosses {shipped['gap', 'blind']}." in text
-    assert {shipped[ground, "blind"] for ground in ("platform", "stairs_up", "stairs_down")} == {
-        160
-    }
-    ahead = {tuple(row[1:3]): row[-1].replace("+", "").strip(")").split(" (") for row in rows}
-    for entry, claim in (
-        (("go1-parkour with ReturnSwitch", "memory"), "{} more than VB-Com's"),
-        (("go1-parkour", "camera"), "{} points more than its best rival, VP"),
-        (("go1-parkour", "switch"), "{} more than the paper's switch"),
-        (("without-memory", "memory"), "{} points less in all"),
-    ):
-        points, interval = ahead[entry]
-        assert claim.format(points) in text
-        assert interval in text or entry[0] == "without-memory"
-    assert rows[1][1:3] == ("go1-parkour", "camera")
-    assert f"differ by {float(rows[0][3]) - float(rows[-1][3]):.1f} points" in text
-    for files, rival, claim in (
-        (
-            ("renet-30M-seed-2", "dropout-30M"),
-            ("dropout-30M", "camera"),
-            "{} points more in one training",
-        ),
-        (("renet-30M-seed-3", "dropout-30M"), ("dropout-30M", "camera"), "{} in another"),
-        (tables.FULL_RUN, ("go1-parkour", "camera"), "{} points more than VP (95 %"),
-        (tables.FULL_RUN, ("go1-parkour", "switch"), "{} more than the paper's switch"),
-    ):
-        ranked = ranking([read_result(RESULTS / "leaderboard_2" / f"{f}.json") for f in files])[2]
-        cell = next(row[-1] for row in ranked if row[1:3] == rival)
-        points, interval = re.sub(r"[+)]", "", cell).replace("-", "−").split(" (")
-        assert claim.format(points) in text
-        assert interval in text
 
 
 def test_motors_of_the_go2():

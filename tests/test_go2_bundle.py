@@ -15,7 +15,6 @@ WALKS = {
     "demo": "--robots 1 --seconds 2.5 --modes memory",
     "evaluate faults": f"{SMALL} --faults frozen:5 --grounds gap --onsets 0.5 --lasts 0.5"
     " --healthy-minutes 0.02",
-    "evaluate benchmark": f"{SMALL} --quick --grounds gap --modes memory",
     "evaluate terrain": f"{SMALL} --quick",
     "evaluate terrain --preset success": f"{SMALL} --kinds gap --levels 1",
     "evaluate terrain --preset dawn": f"{SMALL} --kinds gap --modes camera",

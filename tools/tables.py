@@ -4,13 +4,12 @@
     python tools/tables.py --fill    write them
 
 The first cell of a row says what the row is about; the others are filled. Rows are neither added
-nor removed, except those of a leaderboard.
+nor removed, except those of the leaderboard.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import re
 import sys
 from collections.abc import Callable
@@ -20,10 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from renet.evaluation.benchmark.leaderboard import ranking
+from renet.evaluation.benchmark.results import read_result
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.studies.benchmark import read_result
-from renet.evaluation.studies.crossing import ranking
-from renet.evaluation.studies.leaderboard import paired
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -47,9 +45,8 @@ SWITCHES = (
     ("severity_5", "blind"),
 )
 """Studies and modes of the table of switches, column by column."""
-LEADERBOARD = ("go1-parkour", "without-memory", "return", "gate", "playground", "cheng-15M")
-LEADERBOARD += ("zhuang-15M", "dropout-30M", "renet-30M-seed-2", "renet-30M-seed-3")
-FULL_RUN = ("full", "full-paper")
+LEADERBOARD = ("go1-parkour", "oracle_withholds", "playground", "himloco", "robogauge")
+"""Result files of the fault benchmark's quick leaderboard, the reference first."""
 
 
 @cache
@@ -62,19 +59,27 @@ def mean(study: str, mode: str, grounds: tuple[str, ...], measure: str = "crosse
     """A mode's mean over a study's settings on some grounds, per cent."""
     shares = [
         row["measures"][measure]["value"]
-        for row in result(study)["settings"]
+        for row in result(study)["runs"]
         if row["mode"] == mode and row["ground"] in grounds
     ]
     return f"{100 * np.mean(shares):.1f}"
 
 
 def crossed(label: str, study: str = "severity_5") -> list[str]:
-    """VP, RENet and OP in the fault benchmark, per cent, and RENet less VP, by ground."""
+    """VP, RENet and OP under single faults, per cent, and RENet less VP, by ground."""
     grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
-    ahead = {ground: cell for ground, cell, _ in paired(result(study))[2]}
-    key = "all but the first" if len(grounds) > 1 else grounds[0]
     means = [mean(study, mode, grounds) for mode in ("camera", "memory", "blind")]
-    return [*means, ahead[key].replace("-", "−")]
+    return [*means, ahead(study, grounds).replace("-", "−")]
+
+
+def ahead(study: str, grounds: tuple[str, ...]) -> str:
+    """Points that RENet crosses more than VP on some grounds, with the interval over robots."""
+    vp, renet = (result(study)["by_robot"][mode] for mode in ("camera", "memory"))
+    settings = [row["ground"] for row in result(study)["runs"] if row["mode"] == "camera"]
+    gains = [np.subtract(renet[name]["crossed"], vp[name]["crossed"]) for name in grounds]
+    gain = np.average(gains, axis=0, weights=[settings.count(name) for name in grounds])
+    low, high = bootstrap_interval(100 * gain)
+    return f"{100 * gain.mean():+.1f} ({low:+.1f} to {high:+.1f})"
 
 
 def lead(study: str, mode: str) -> tuple[str, str]:
@@ -82,7 +87,7 @@ def lead(study: str, mode: str) -> tuple[str, str]:
     ours, theirs = result("severity_5")["by_robot"]["memory"], result(study)["by_robot"][mode]
     grounds = GROUNDS[1:]
     gains = [np.subtract(ours[name]["crossed"], theirs[name]["crossed"]) for name in grounds]
-    rows = [row["ground"] for row in result(study)["settings"] if row["mode"] == mode]
+    rows = [row["ground"] for row in result(study)["runs"] if row["mode"] == mode]
     gain = 100 * np.average(gains, axis=0, weights=[rows.count(name) for name in grounds])
     low, high = bootstrap_interval(gain)
     return (f"{gain.mean():.1f}", f"{low:.1f} to {high:.1f}") if gain.any() else ("–", "–")
@@ -111,14 +116,25 @@ def standing(label: str) -> list[str]:
     return [", ".join(still[kind, mode] for kind in kinds) for mode in ("camera", "blind")]
 
 
-def course(label: str) -> list[str]:
-    """Kilometres, falls, times stuck and passages of the course."""
-    (row,) = (row for row in result("course")["totals"] if row["mode"] == MODES[label])
-    kilometres, falls = row["distance_m"] / 1000, str(row["falls"])
-    if not row["falls"]:  # The exact limit of Poisson's distribution.
-        falls = f"0 (95 % limit {-math.log(0.05) / kilometres:.1f} per km)"
-    passages = f"{row['crossed']} of {row['passages']}"
-    return [f"{kilometres:.2f} km", falls, str(row["stuck"]), passages]
+def kilometre(label: str) -> list[str]:
+    """Kilometres, falls and shares of time on each estimator of the long walk."""
+    total = kilometre_summary()["totals"][label]
+    interval = f"{total['ci95_low']:.1f} to {total['ci95_high']:.1f}"
+    falls = [str(total["falls"]), f"{total['falls_per_km']:.1f}", interval, str(total["stuck"])]
+    times = [f"{100 * total[name]:.0f} %" for name in ("sees", "remembers", "blind")]
+    return [f"{total['metres'] / 1000:.2f}", *falls, *times]
+
+
+def sections(label: str) -> list[str]:
+    """How many walks over a section of the long walk ended in a fall or stuck, by mode."""
+    ends = kilometre_summary()["sections"][label]
+    return [str(of["fell"] + of["stuck"]) for of in ends.values()]
+
+
+@cache
+def kilometre_summary() -> Any:
+    """The summary of the long walk."""
+    return json.loads((RESULTS / "benchmark" / "kilometre.json").read_text())
 
 
 def black(label: str, studies: tuple[str, ...] = ("blackout_on_the_way", "blackout")) -> list[str]:
@@ -153,44 +169,29 @@ def go2(label: str) -> list[str]:
     return [", ".join(passed[kind, level] for level in sizes[kind]) for kind in sizes]
 
 
-def full_run(label: str) -> list[str]:
-    """Per cent that cross in version 2's full run, by ground and size."""
-    results = [read_result(RESULTS / "leaderboard_2" / f"{name}.json") for name in FULL_RUN]
-    settings = [row for result in results for row in result["settings"]]
-    ground, _, size = label.replace(" ", "_").partition(",_")
-    place = (ground, size) if size else ()
-    cells = []
-    for mode in ("memory", "camera", "switch", "blind"):
-        rows = [row for row in settings if row["mode"] == mode]
-        mine = [row for row in rows if place in ((), (row["ground"], row["size"]))]
-        robots = results[0]["protocol"]["robots"] * len(mine)
-        cells.append(f"{100 * sum(row['crossed'] for row in mine) / robots:.1f}")
-    return cells
-
-
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("pretrained.md", "Obstacles"): one_try,
-    ("pretrained.md", "The fault benchmark"): crossed,
+    ("pretrained.md", "Single faults"): crossed,
     ("pretrained.md", "Grass"): grass,
     ("comparison.md", "At severity 5"): switches,
     ("pretrained.md", "Standing"): standing,
-    ("pretrained.md", "A course"): course,
     ("memory.md", "Measure it"): black,
     ("go2.md", "What it can do"): go2,
     ("go2.md", "When its camera fails"): partial(black, studies=("../go2/blackout",)),
-    ("go2.md", "The fault benchmark"): partial(crossed, study="../go2/severity_5"),
-    ("crossing.md", "Results"): None,
-    ("crossing.md", "With the frontier"): full_run,
+    ("go2.md", "Single faults"): partial(crossed, study="../go2/severity_5"),
+    ("benchmark.md", "Results"): None,
+    ("benchmark.md", "The kilometre"): kilometre,
+    ("benchmark.md", "Where they fall"): sections,
 }
 """What fills the cells of a row, given its first one, by page and heading; the first table counts.
 None: a leaderboard, whose rows are all new."""
 
 
 def leaderboard() -> list[list[str]]:
-    """The rows of version 2's leaderboard, best first; of a policy with a switch its switch."""
-    files = [RESULTS / "leaderboard_2" / f"{name}.json" for name in LEADERBOARD]
+    """The rows of the fault benchmark's quick leaderboard, best first."""
+    files = [RESULTS / "benchmark" / f"{name}.json" for name in LEADERBOARD]
     rows = ranking([read_result(file) for file in files])[2]
-    return [[place, name.split(" with ")[-1], *cells] for place, name, *cells in rows]
+    return [[*row[:-1], row[-1].replace("-", "−")] for row in rows]
 
 
 def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = None) -> str:

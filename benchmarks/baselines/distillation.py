@@ -28,10 +28,10 @@ from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import RenetAlgorithm
 from renet.training.config import RenetRunnerCfg, SupervisionCfg, from_dict
 from renet.training.export import load_networks
-from renet.training.precision import halved_threads
+from renet.training.precision import halve_threads
 from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
-from renet.training.storage import Recorder, TickRollout
+from renet.training.storage import StepBuffer, TickRollout
 from renet.training.supervision import MiniBatch, Supervision
 
 TASK, STUDENT_TASK = "Renet-Go1-Parkour", "Renet-Go1-Parkour-Student"
@@ -179,7 +179,7 @@ class DistillationAlgorithm(RenetAlgorithm):
         """Curriculum of the teachers, from which the student goes on."""
         if cfg.starts_as_teacher:
             self.model.actor.load_state_dict(self._teachers[0][0].model.actor.state_dict())
-        self._lessons = Recorder()
+        self._lessons = StepBuffer()
         self._driven = torch.full_like(taught, cfg.teacher_drives > 0)
 
     def expert(self, obs: TensorDict) -> Tensor:
@@ -216,7 +216,7 @@ class DistillationAlgorithm(RenetAlgorithm):
     def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
         """Imitate, in place of reinforcement."""
         rollout = DistillationRollout(**vars(ticks), **self._lessons.stack())
-        with halved_threads(self.device):
+        with halve_threads(self.device):
             return self.supervision.update(rollout, self.steps)
 
 

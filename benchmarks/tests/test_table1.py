@@ -11,7 +11,7 @@ import table1
 from renet.errors import RenetError
 from renet.evaluation.studies.terrain import TerrainStudy
 from renet.training import checkpoint as checkpoints
-from renet.training.provenance import described
+from renet.training.provenance import to_json
 
 STUDY = TerrainStudy(levels=(1,), robots=1, seconds=1.0)
 
@@ -67,7 +67,7 @@ class Trainer:
         folder = cfg.log_root / cfg.task / "2026-01-01" / "checkpoints" / f"it_{reached:08d}"
         folder.mkdir(parents=True)
         state = {"format": checkpoints.FORMAT, "iteration": reached, "steps": 200 * reached}
-        settings = {"agent": described(cfg.agent), "env": described(cfg.env)}
+        settings = {"agent": to_json(cfg.agent), "env": to_json(cfg.env)}
         state |= {"seconds": 300.0 * reached, "task": cfg.task, **settings}
         (folder / "state.json").write_text(json.dumps(state))
         if name == self.killed_in:
@@ -163,7 +163,7 @@ def test_every_row_differs_from_the_recipe_in_what_it_names() -> None:
         changed = {k for k, v in model if v != getattr(base.agent.model, k)}
         assert changed == set(row.stages[0].model)
         assert replace(ours.agent, model=base.agent.model) == base.agent
-        assert described(ours.env) == described(base.env)
+        assert to_json(ours.env) == to_json(base.env)
 
 
 def test_budget_is_reached_and_not_by_more_than_an_iteration() -> None:

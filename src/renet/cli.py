@@ -142,12 +142,12 @@ COMMANDS = {
         presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
     ),
     "evaluate benchmark": _study(
-        "who still crosses when the camera fails at an edge",
-        "renet.evaluation.studies.crossing:CrossingStudy:CrossingStudy.main",
+        "renet-faults: any policy while its camera fails",
+        "renet.evaluation.benchmark.study:BenchmarkStudy:BenchmarkStudy.main",
     ),
     "evaluate leaderboard": Command(
-        "rank policies by their results under faults",
-        "renet.evaluation.studies.leaderboard:LeaderboardCfg:make_leaderboard",
+        "rank policies by their results of the benchmark",
+        "renet.evaluation.benchmark.leaderboard:LeaderboardCfg:make_leaderboard",
     ),
     "evaluate terrain": _study(
         "highest levels; --preset success, stops and more",

@@ -297,7 +297,11 @@ def test_it_goes_on_from_memory_and_then_without(judging):
     assert run.controller.decision.probability < 0.5
     assert all(run.ticks(300)[-10:])
     assert run.controller.decision.has_image
-    told = [("remembers", "no new image"), ("blind", "no new image"), ("sees", "vision is healthy")]
+    told = [
+        ("remembers", "no new image"),
+        ("blind", "no new image for 1 s, as long as it remembers"),
+        ("sees", "vision is healthy"),
+    ]
     assert [(event.what, event.why) for event in run.events[2:]] == told
     passed = [event.time - good.time for event in run.events[2:4]]
     assert passed == pytest.approx([A_WHILE + 0.1, 1.1], abs=0.08), "the last tick lasts 0.1 s"

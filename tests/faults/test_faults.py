@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from renet.errors import RenetError
 from renet.faults import FAULTS, SEVERITIES, Frames, Injection, Injector, PhysicalFault
-from renet.faults.image import fill_holes, shifted
-from renet.faults.physical import spread
+from renet.faults.image import fill_from_left, shifted
+from renet.faults.physical import choose_evenly
 from renet.interface import DEPTH_SHAPE, TICK_DT
 
 SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
@@ -161,7 +161,7 @@ def test_motion_blur_moves_the_image_by_rate_times_exposure_and_whole_pixels_exa
 def test_fill_holes_takes_the_left_then_the_right_then_the_row_above() -> None:
     image = np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]])
     holes = np.array([[0, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
-    np.testing.assert_array_equal(fill_holes(image, holes), [[1, 1, 1], [5, 5, 5], [5, 5, 5]])
+    np.testing.assert_array_equal(fill_from_left(image, holes), [[1, 1, 1], [5, 5, 5], [5, 5, 5]])
 
 
 def test_faults_compose_in_order() -> None:
@@ -286,7 +286,7 @@ def test_a_mount_creeps_about_one_axis_up_to_the_hardest_knock() -> None:
 @pytest.mark.parametrize(("count", "share", "expected"), [(4, 0.2, 1), (24, 0.2, 5), (24, 1.0, 24)])
 def test_a_share_of_the_obstacles_at_least_one(count: int, share: float, expected: int) -> None:
     tiles = [list(range(count)), list(range(100, 100 + count))]
-    chosen = spread(tiles, share)
+    chosen = choose_evenly(tiles, share)
     assert [len(chosen & set(geoms)) for geoms in tiles] == [expected, expected]
     assert len(chosen) == 2 * expected
 

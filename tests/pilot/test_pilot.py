@@ -100,8 +100,10 @@ def test_it_remembers_and_then_is_blind_as_images_stop(shipped):
         step = pilot.step(observed(number), ground(number) if new else None, number * CONTROL_DT)
         begins.setdefault(str(step.state[0]), number)
         # An image that is late by a tick is no reason yet.
-        assert step.reason[0] == ("no new image" if number >= 35 else "")
+        assert step.reason[0].startswith("no new image" if number >= 35 else "")
+        assert (step.reason[0] == "") == (number < 35)
     assert list(begins) == ["sees", "remembers", "blind"]
+    assert step.reason[0] == "no new image for 1 s, as long as it remembers"
     # The last image comes at step 25, and VP has it until the tick of step 30.
     assert begins["remembers"] == 30
     assert begins["blind"] == pytest.approx(30 + 1.0 / CONTROL_DT, abs=3)

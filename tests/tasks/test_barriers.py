@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from renet.tasks.mdp import before_barrier, goal, velocity_tracking, way_left
+from renet.tasks.mdp import before_barrier, free_distance, goal, velocity_tracking
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import parkour_terrain
 from renet.terrain.tiles import barriers
@@ -52,7 +52,7 @@ def put(env, x: float, y: float, yaw: float, speed: float = 0.5) -> None:
 def test_the_way_that_is_left(env, place, yaw, metres):
     put(env, *place, yaw)
     torch.testing.assert_close(
-        way_left(env, goal(env).direction), torch.full((ROBOTS,), metres), atol=1e-3, rtol=0.0
+        free_distance(env, goal(env).direction), torch.full((ROBOTS,), metres), atol=1e-3, rtol=0.0
     )
 
 

@@ -85,7 +85,13 @@ def test_a_robot_told_not_to_turn_is_led_back_to_its_heading(env):
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize(
     ("velocity", "expected"),
-    [((-0.4, 0.3), 1.0), ((-0.2, 0.15), 0.5), ((0.0, 0.0), 0.0), ((0.4, -0.3), 0.0)],
+    [
+        ((-0.4, 0.3), 1.0),
+        ((-0.2, 0.15), 0.5),
+        ((0.0, 0.0), 0.0),
+        ((0.2, -0.15), -0.5),
+        ((0.8, -0.6), -1.0),
+    ],
 )
 def test_reward_of_a_velocity(env, heading, velocity, expected):
     drive(env, (-0.4, 0.3, 0.5), velocity, heading=heading)
@@ -96,7 +102,13 @@ def test_reward_of_a_velocity(env, heading, velocity, expected):
 
 @pytest.mark.parametrize(
     ("velocity", "rate", "expected"),
-    [((0.0, 0.0), 1.0, 1.0), ((0.15, 0.0), 1.0, 0.5), ((0.0, 0.0), 0.35, 0.5), ((0, 0), -1.0, 0.0)],
+    [
+        ((0.0, 0.0), 1.0, 1.0),
+        ((0.15, 0.0), 1.0, 0.5),
+        ((0.0, 0.0), 0.35, 0.5),
+        ((0.0, 0.0), -1.0, 0.0),
+        ((0.45, 0.0), 1.0, -0.5),
+    ],
 )
 def test_reward_of_turning_on_the_spot(env, velocity, rate, expected):
     drive(env, (0.0, 0.0, 1.0), velocity, rate)

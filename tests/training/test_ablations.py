@@ -18,7 +18,7 @@ from renet.models.oracle import true_image
 from renet.models.renet import RENet
 from renet.tasks import make_env
 from renet.training.config import SupervisionCfg
-from renet.training.provenance import described
+from renet.training.provenance import to_json
 from renet.training.train import TrainCfg
 
 from .conftest import ToyEnv, make_runner
@@ -107,7 +107,7 @@ def test_the_pages_options_change_exactly_the_field_they_name():
     cfg = parse(TrainCfg, ["Renet-Go1-Flat", *table["One Obs"].split()], "")
     assert cfg.agent.model == replace(default.agent.model, history=1)
     assert replace(cfg.agent, model=default.agent.model) == default.agent
-    assert described(cfg.env) == described(default.env)
+    assert to_json(cfg.env) == to_json(default.env)
 
 
 def test_the_oracle_sees_the_true_map():

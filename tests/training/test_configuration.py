@@ -7,7 +7,7 @@ import pytest
 
 from renet.cli import parse
 from renet.errors import RenetError
-from renet.training.provenance import described
+from renet.training.provenance import to_json
 from renet.training.train import TrainCfg
 
 TASK = "Renet-Go1-Flat"
@@ -20,7 +20,7 @@ def run_of(*arguments: str) -> TrainCfg:
 
 def written(cfg: TrainCfg) -> dict:
     """What a run writes into its config.json."""
-    parts = described({"agent": cfg.agent, "env": cfg.env})
+    parts = to_json({"agent": cfg.agent, "env": cfg.env})
     return {"task": cfg.task, **parts, "code": "0.1.0"}
 
 

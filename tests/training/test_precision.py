@@ -11,8 +11,8 @@ from renet.models.config import ModelCfg
 from renet.training import precision
 from renet.training.config import NP3OCfg
 from renet.training.precision import (
-    computed_in,
-    halved_threads,
+    compute_in,
+    halve_threads,
     keep_freed_memory,
     learning_type,
     multiply_by_onednn,
@@ -53,7 +53,7 @@ def test_bfloat16_learns_what_single_precision_learns(two_threads):
 def test_a_module_computes_in_another_type_only_while_it_learns():
     layer, value = torch.nn.Linear(64, 8), torch.randn(3, 64)
     exact = layer(value)
-    with computed_in(torch.bfloat16, layer):
+    with compute_in(torch.bfloat16, layer):
         rounded = layer(value)
     assert rounded.dtype == torch.float32
     assert 0 < (rounded - exact).abs().max() < 0.05
@@ -105,7 +105,7 @@ def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
         meeting.wait()  # Passes only if both run at once.
         return torch.get_num_threads()
 
-    with halved_threads("cpu"):
+    with halve_threads("cpu"):
         assert torch.get_num_threads() == 1
         assert side_by_side(work, work) == (1, 1)
         for pair in ((fail, lambda: 1), (lambda: 1, fail)):
@@ -113,7 +113,7 @@ def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
                 side_by_side(*pair)
         assert side_by_side(work, work) == (1, 1)
     assert torch.get_num_threads() == 2
-    with pytest.raises(ValueError, match="no"), halved_threads("cpu"):
+    with pytest.raises(ValueError, match="no"), halve_threads("cpu"):
         fail()
     assert torch.get_num_threads() == 2
 
@@ -139,7 +139,7 @@ def test_work_that_ends_first_leaves_its_half_to_parts_of_the_other(two_threads,
 
     pieces = [may_end.wait, may_end.wait]
     pieces[longer] = divided
-    with halved_threads("cpu"):
+    with halve_threads("cpu"):
         assert side_by_side(*pieces)[longer] == [False, True]
         assert runs_at_once()
 
@@ -148,7 +148,7 @@ def test_work_that_ends_first_leaves_its_half_to_parts_of_the_other(two_threads,
 def test_work_is_divided_only_between_several_threads_of_a_cpu(two_threads, device):
     threads = 1 if device == "cpu" else 2
     torch.set_num_threads(threads)
-    with halved_threads(device):
+    with halve_threads(device):
         done = side_by_side(threading.get_ident, threading.get_ident)
         assert torch.get_num_threads() == threads
     assert done == (threading.get_ident(),) * 2

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from renet.errors import RenetError
-from renet.training.provenance import described, restored
+from renet.training.provenance import restore, to_json
 from renet.training.train import TrainCfg
 
 TASK = "Renet-Go1-Parkour"
@@ -18,7 +18,7 @@ def registered():
 
 @pytest.fixture
 def stored(registered):
-    return {"agent": described(registered.agent), "env": described(registered.env)}
+    return {"agent": to_json(registered.agent), "env": to_json(registered.env)}
 
 
 def put(settings: dict, name: str, value) -> None:
@@ -52,8 +52,8 @@ def get(cfg, name: str):
 def test_what_is_not_of_the_policy_stays(registered, stored, name, value):
     put(stored, name, value)
     part = name.split(".")[0]
-    cfg = restored(getattr(registered, part), stored[part], part)
-    assert described(cfg) == described(getattr(registered, part))
+    cfg = restore(getattr(registered, part), stored[part], part)
+    assert to_json(cfg) == to_json(getattr(registered, part))
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_numbers_out_of_bounds_are_refused_by_name(registered, stored, name, val
     put(stored, name, value)
     part = name.split(".")[0]
     with pytest.raises(RenetError, match=f"setting {name} is .* must be from"):
-        restored(getattr(registered, part), stored[part], part)
+        restore(getattr(registered, part), stored[part], part)
 
 
 @pytest.mark.parametrize(
@@ -95,6 +95,6 @@ def test_numbers_out_of_bounds_are_refused_by_name(registered, stored, name, val
 def test_what_shapes_the_policy_comes_back(registered, stored, name, value):
     put(stored, name, value)
     part = name.split(".")[0]
-    cfg = restored(getattr(registered, part), stored[part], part)
+    cfg = restore(getattr(registered, part), stored[part], part)
     got = get(cfg, name.split(".", 1)[1])
     assert (list(got) if isinstance(got, tuple) else got) == value

@@ -1,12 +1,12 @@
 import torch
 
-from renet.training.storage import Recorder
+from renet.training.storage import StepBuffer
 
 from .conftest import ToyEnv, collect, make_runner
 
 
 def test_a_record_outlives_the_buffers_it_was_taken_from() -> None:
-    recorder, buffer, flag = Recorder(), torch.zeros(2), torch.zeros(2, dtype=torch.bool)
+    recorder, buffer, flag = StepBuffer(), torch.zeros(2), torch.zeros(2, dtype=torch.bool)
     for step in range(3):
         buffer.fill_(step)
         recorder.begin(observation=buffer)

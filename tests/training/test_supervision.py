@@ -224,4 +224,4 @@ def test_mini_batches_hold_each_environment_once_and_know_who_learns_from_it(mod
         assert batch.vp.tolist() == [robot for robot in robots if robot in (2, 3)]
         assert batch.images == rollout.has_image[:, batch.index].sum()
         learns = {"op": len(batch.op), "vp": len(batch.vp), "detector": batch.images}
-        assert batch.learning == [part for part, size in learns.items() if size]
+        assert batch.learners == [part for part, size in learns.items() if size]

@@ -22,7 +22,7 @@ from renet.training import checkpoint as checkpoints
 from renet.training import train as training
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import RenetRunnerCfg
-from renet.training.provenance import described, restored
+from renet.training.provenance import restore, to_json
 from renet.training.runs import new_run, resumed_run
 from renet.training.train import TrainCfg, resolve_device, train
 
@@ -117,7 +117,7 @@ def test_what_iterations_are_is_said_and_that_those_of_few_robots_end_early(robo
 
 def whole(cfg) -> dict:
     """Both configurations, as JSON."""
-    return {"env": described(cfg.env), "agent": described(cfg.agent)}
+    return {"env": to_json(cfg.env), "agent": to_json(cfg.agent)}
 
 
 OPTIONS = ("--env.rewards.yaw.weight", "0.3", "--agent.model.him", "False", "--seed", "4")
@@ -161,9 +161,9 @@ def test_all_help_lists_the_settings_of_the_task(capsys):
 def test_the_papers_task_has_nothing_of_the_recipe():
     paper = TrainCfg.from_task(f"{TASK}-Paper")
     assert paper.agent == RenetRunnerCfg(task=paper.task, experiment_name=paper.task)
-    rules = described(parkour_env_cfg())
+    rules = to_json(parkour_env_cfg())
     rules["scene"]["num_envs"] = paper.env.scene.num_envs
-    assert described(paper.env) == rules
+    assert to_json(paper.env) == rules
     assert paper.env.rewards["collision"].weight == -10.0
     assert paper.env.curriculum["command_stage"].params == {"after": 4e8}
     assert depth_camera(paper.env).noise.gaussian_std == 0.1
@@ -179,7 +179,7 @@ def test_settings_come_back_from_their_description():
     registered = TrainCfg.from_task(TASK)
     assert whole(registered) != stored
     env, agent = (
-        restored(getattr(registered, name), stored[name], name) for name in ("env", "agent")
+        restore(getattr(registered, name), stored[name], name) for name in ("env", "agent")
     )
     back = replace(registered, env=env, agent=agent)
     assert whole(back) == stored
@@ -189,7 +189,7 @@ def test_settings_come_back_from_their_description():
     stored["env"]["rewards"]["lift"] = {"weight": 1.0}
     del stored["env"]["scene"]
     assert (
-        restored(registered.env, stored["env"], "env").rewards.keys()
+        restore(registered.env, stored["env"], "env").rewards.keys()
         == registered.env.rewards.keys()
     )
 

@@ -21,7 +21,7 @@ from renet.evaluation.conditions import Disturbances
 from renet.evaluation.rollout import FLAT
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
-from renet.faults.physical import obstacles, spread
+from renet.faults.physical import choose_evenly, obstacles
 from renet.interface import (
     FALL_TILT,
     JOINT_MARGIN,
@@ -336,7 +336,7 @@ def ray_perturbation(
     shares = np.unique(view.glass[view.glass > 0])
     tiles = obstacles(model, middles) if shares.size else []
     unseen = [
-        (spread(tiles, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
+        (choose_evenly(tiles, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
         for share in shares.tolist()
     ]
     lift = torch.as_tensor(view.lift, dtype=torch.float32)

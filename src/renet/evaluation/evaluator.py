@@ -103,7 +103,14 @@ class Evaluator:
         if self.conditions == "training":
             as_trained(cfg, trained_env_cfg(self.bundle.manifest))
 
-    def make_env(self, task: Task, robots: Sequence[int], speed: float, seed: int) -> SimEnv:
+    def make_env(
+        self,
+        task: Task,
+        robots: Sequence[int],
+        speed: float,
+        seed: int,
+        camera_noise: float | None = None,
+    ) -> SimEnv:
         """Make an environment of robots that are commanded to walk straight ahead.
 
         Args:
@@ -112,11 +119,13 @@ class Evaluator:
                 if it is another robot's than the bundle.
             robots: one number for each robot; those with the same number are twins.
             speed: commanded, m/s. seed: of bodies and starts.
+            camera_noise: standard deviation of every depth, m; None: that of the bundle's training.
         """
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
-        named = isinstance(task, str) and task in (FLAT, PARKOUR)
-        if named or isinstance(task, Mapping | TerrainEntityCfg):
+        if isinstance(task, Mapping | TerrainEntityCfg) or (
+            isinstance(task, str) and task in (FLAT, PARKOUR)
+        ):
             task = self.terrain_env_cfg(task)
         cfg = study_env_cfg(task, speed, self.privileged, self.bundle.manifest.told)
         robot = self.bundle.manifest.robot.name
@@ -125,7 +134,9 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {robot}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
-        depth_camera(cfg).noise.gaussian_std = self.bundle.manifest.camera.noise_std
+        if camera_noise is None:
+            camera_noise = self.bundle.manifest.camera.noise_std
+        depth_camera(cfg).noise.gaussian_std = camera_noise
         use_motors(cfg, self.motors)
         self.env = SimEnv(cfg, robots, seed, self.engine)
         """The newest environment, for policies that need the simulator's truth."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, StepResult, Trace, TrueState
-from renet.faults import Frames, Injector, Schedule, ViewPerturbation
+from renet.faults import FaultSchedule, Frames, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
 from renet.pilot import Images, Pilot
 from renet.pilot.policy import Policy
@@ -38,7 +38,7 @@ class Trial:
     """One robot of one setting."""
 
     mode: str
-    schedule: Schedule = ()
+    schedule: FaultSchedule = ()
     robot: int = 0
     """Number within its setting; robots of the same number are twins that draw the same noise."""
     ground: str = "flat"

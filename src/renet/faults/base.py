@@ -1,4 +1,4 @@
-"""Frames of depth cameras at one vision tick, and the interface of the faults that spoil them."""
+"""Frames of depth cameras at one vision tick, and the base of the faults that corrupt them."""
 
 from __future__ import annotations
 
@@ -13,36 +13,40 @@ from renet.errors import RenetError
 
 SEVERITIES = (1, 2, 3, 4, 5)
 FOREVER = float("inf")
-"""Seconds."""
+"""Duration without an end, s."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """One frame of each of n cameras, as the robots receive it.
-
-    `image` [n, 48, 64] float32 in [0, 1], the newest image delivered, which the policy sees.
-    `fresh` [n] bool, whether a new frame was delivered at this tick.
-    `age` [n] seconds since the newest frame was delivered, by the driver's clock.
-    `invalid` [n] share of pixels without a measurement, before holes are filled.
-    `angular_velocity` [n, 3] rad/s of the base during the exposure, base frame.
-    """
+    """One frame of each of n cameras, as the robots receive it."""
 
     image: np.ndarray
+    """Newest images delivered, which the policy sees, [n, 48, 64] float32 in [0, 1]."""
     fresh: np.ndarray
+    """True where a new frame was delivered at this tick, [n] bool."""
     age: np.ndarray
+    """Time since the newest frame was delivered, by the driver's clock, [n] s."""
     invalid: np.ndarray
+    """Share of pixels without a measurement, before holes are filled, [n]."""
     angular_velocity: np.ndarray
+    """Angular velocity of the base during the exposure, base frame, [n, 3] rad/s."""
 
     @classmethod
     def healthy(cls, image: np.ndarray, angular_velocity: np.ndarray | None = None) -> Frames:
-        """Fresh frames without holes from `image` [n, 48, 64]."""
+        """Build fresh frames without holes from images [n, 48, 64]."""
         n = len(image)
-        rate = np.zeros((n, 3), np.float32) if angular_velocity is None else angular_velocity
-        image = np.asarray(image, np.float32)
-        return cls(image, np.ones(n, bool), np.zeros(n), np.zeros(n), rate)
+        if angular_velocity is None:
+            angular_velocity = np.zeros((n, 3), np.float32)
+        return cls(
+            image=np.asarray(image, np.float32),
+            fresh=np.ones(n, bool),
+            age=np.zeros(n),
+            invalid=np.zeros(n),
+            angular_velocity=angular_velocity,
+        )
 
     def rows(self, index: np.ndarray) -> Frames:
-        """The frames of some robots only."""
+        """Select the frames of some robots."""
         return Frames(**{name: value[index] for name, value in vars(self).items()})
 
     def write(self, index: np.ndarray, other: Frames) -> None:
@@ -51,25 +55,26 @@ class Frames:
             value[index] = getattr(other, name)
 
     def copy(self) -> Frames:
-        """A deep copy."""
+        """Return a deep copy."""
         return Frames(**{name: value.copy() for name, value in vars(self).items()})
 
 
 class Fault:
-    """One way a camera fails, for n robots, each with its own random stream.
+    """Fault of a camera, for n robots, each with its own random stream.
 
-    A subclass has five severities, and spoils frames in `corrupt`. It gets every frame, before,
-    during and after the fault, so that it can keep past ones. The first paragraph of its docstring
-    is shown to users: what happens, and what `level` means.
+    A subclass has five severities, and corrupts frames in `corrupt`. It receives all frames,
+    before, during and after the fault, so that it can keep past ones. Users read the first
+    paragraph of its docstring, which says what happens and what `level` means.
     """
 
     name: ClassVar[str]
-    """What users call it; by default as the class: EdgeShadow is edge_shadow."""
+    """Name for users; by default that of the class in snake case, such as edge_shadow."""
     unit: ClassVar[str]
+    """Unit of the level."""
     levels: ClassVar[tuple[float, ...]]
-    """The `level` of severities 1 to 5."""
+    """Levels of severities 1 to 5."""
     level_is_duration: ClassVar[bool] = False
-    """Whether the level is the number of seconds after which the fault ends by itself."""
+    """True if the level is the time in s after which the fault ends by itself."""
 
     def __init_subclass__(cls) -> None:
         if "name" not in vars(cls):
@@ -79,35 +84,38 @@ class Fault:
         self.level = level
         self.rngs = rngs
         self.patterns = [self.draw(rng) for rng in rngs]
-        """What `draw` returned for each robot."""
+        """Result of `draw` for each robot."""
 
     def draw(self, rng: np.random.Generator) -> Any:
-        """What stays the same for a robot as long as the fault lasts, such as the place of dirt."""
+        """Draw a robot's pattern for the whole fault, such as the place of dirt."""
         return None
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """The frames after the fault.
+        """Apply the fault to frames.
 
         Args:
-            frames: what the cameras delivered at this tick; not changed.
-            elapsed: [n] seconds since the fault began; negative where it is not at work, which
+            frames: Frames that the cameras delivered at this tick; not changed.
+            elapsed: Time since the fault began, [n] s; negative where it is not active, which
                 leaves the frames of those robots as they are.
+
+        Returns:
+            The corrupted frames.
         """
         raise NotImplementedError
 
     @classmethod
     def lasts(cls, level: float) -> float:
-        """Seconds after which the fault ends by itself; infinity where it does not."""
+        """Return the time after which the fault ends by itself, s, or infinity."""
         return level if cls.level_is_duration else FOREVER
 
     @classmethod
     def summary(cls) -> str:
-        """The first paragraph of the docstring, on one line."""
+        """Return the first paragraph of the docstring on one line."""
         return " ".join((cls.__doc__ or "").split("\n\n")[0].split())
 
     @classmethod
     def describe(cls, level: float) -> str:
-        """A level with its unit, such as "30 %" or "∞ s"."""
+        """Format a level with its unit, such as "30 %" or "∞ s"."""
         if cls.unit == "share":
             return f"{100 * level:.0f} %"
         if cls.unit == "factor":
@@ -116,18 +124,19 @@ class Fault:
 
     @classmethod
     def level_of(cls, severity: int) -> float:
-        """The level of a severity between 1 and 5."""
+        """Return the level of a severity from 1 to 5; raises RenetError for another one."""
         if severity not in SEVERITIES:
             raise RenetError(f"severity {severity} of fault '{cls.name}': choose 1 to 5")
         return cls.levels[severity - 1]
 
 
 class ImageFault(Fault):
-    """A fault that spoils each image independently of other frames."""
+    """Fault that corrupts each image independently of other frames."""
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Spoil the images of the robots that the fault is at work on."""
-        image, invalid = frames.image.copy(), frames.invalid.copy()
+        """Corrupt the images of robots whose fault is active."""
+        image = frames.image.copy()
+        invalid = frames.invalid.copy()
         for i in np.flatnonzero(elapsed >= 0).tolist():
             spoilt = self.spoil(image[i], i, float(elapsed[i]))
             holes = np.isnan(spoilt)
@@ -136,9 +145,23 @@ class ImageFault(Fault):
         return replace(frames, image=image, invalid=invalid)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The spoilt image [48, 64] of one robot, of any range, NaN where nothing is measured."""
+        """Corrupt an image of one robot.
+
+        Args:
+            image: The image, [48, 64] in [0, 1]; not changed.
+            robot: Index of the robot.
+            elapsed: Time since the fault began, s.
+
+        Returns:
+            The corrupted image, [48, 64], of any range; NaN where nothing is measured.
+        """
         raise NotImplementedError
 
     def fill(self, image: np.ndarray, holes: np.ndarray) -> np.ndarray:
-        """An image [48, 64] with its holes, [48, 64] bool, filled as by the driver: with zeros."""
+        """Fill the holes of an image as the camera's driver does, by default with zeros.
+
+        Args:
+            image: The image, [48, 64].
+            holes: True at holes, [48, 64] bool.
+        """
         return np.where(holes, np.float32(0.0), image)

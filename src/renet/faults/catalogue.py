@@ -1,4 +1,4 @@
-"""The table of all fault models."""
+"""Table of all fault models."""
 
 from renet.errors import demand_name
 from renet.faults import (
@@ -33,6 +33,6 @@ FAULTS: dict[str, type[Fault]] = {
 
 
 def fault_class(name: str) -> type[Fault]:
-    """The fault model of a name; raises RenetError for an unknown one."""
+    """Return the fault model of a name; raises RenetError for an unknown one."""
     demand_name("fault", name, FAULTS)
     return FAULTS[name]

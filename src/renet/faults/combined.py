@@ -1,4 +1,4 @@
-"""Faults made of others: two at once, and one that comes and goes."""
+"""Combinations of faults: two at once, and intermittent ones."""
 
 from collections.abc import Sequence
 from typing import ClassVar
@@ -9,12 +9,12 @@ from renet.faults import image, stereo, timing
 from renet.faults.base import SEVERITIES, Fault, Frames
 from renet.interface import TICK_DT
 
-PERIOD = 10
+PERIOD_FRAMES = 10
 """Frames from one onset of an intermittent fault to the next: 1 s."""
 
 
 class TwoFaults(Fault):
-    """Two faults of the same severity, one after the other."""
+    """Two faults of the same severity, applied one after the other."""
 
     unit = "severity"
     levels = SEVERITIES
@@ -53,7 +53,7 @@ class ShadowSteps(TwoFaults):
 
 
 class Intermittent(Fault):
-    """A fault that is at work in the first part of every second."""
+    """Fault that is active in the first part of each second."""
 
     unit = "share"
     levels = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -65,24 +65,27 @@ class Intermittent(Fault):
         self._fault = self.kind(self.kind.level_of(self.severity), rngs)
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        phase = np.round(elapsed / TICK_DT).astype(int) % PERIOD
-        on = (elapsed >= 0) & (phase < round(self.level * PERIOD))
+        phase = np.round(elapsed / TICK_DT).astype(int) % PERIOD_FRAMES
+        on = (elapsed >= 0) & (phase < round(self.level * PERIOD_FRAMES))
         return self._fault.corrupt(frames, np.where(on, phase * TICK_DT, -1.0))
 
 
 class IntermittentBlackout(Intermittent):
     """A loose connector: all zeros in a part of every second; level is that part."""
 
-    kind, severity = image.Blackout, 5
+    kind = image.Blackout
+    severity = 5
 
 
 class IntermittentFrozen(Intermittent):
     """A driver that hangs and recovers: frozen in a part of every second; level is that part."""
 
-    kind, severity = timing.Frozen, 5
+    kind = timing.Frozen
+    severity = 5
 
 
 class IntermittentGlare(Intermittent):
     """Sun between trees: glare of severity 5 in a part of every second; level is that part."""
 
-    kind, severity = image.Glare, 5
+    kind = image.Glare
+    severity = 5

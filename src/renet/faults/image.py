@@ -16,30 +16,41 @@ ROWS, COLUMNS = DEPTH_SHAPE
 
 
 def smooth_field(rng: np.random.Generator, cells: tuple[int, int] = (6, 8)) -> np.ndarray:
-    """Spatially correlated noise [48, 64]: a coarse grid of normal numbers, interpolated."""
+    """Draw spatially correlated noise, [48, 64]: normal numbers on a coarse grid, interpolated.
+
+    Args:
+        rng: Random stream.
+        cells: Rows and columns of the grid's cells.
+    """
     coarse = rng.standard_normal((cells[0] + 1, cells[1] + 1))
-    r, c = np.linspace(0, cells[0], ROWS), np.linspace(0, cells[1], COLUMNS)
-    r0 = np.minimum(r.astype(int), cells[0] - 1)[:, None]
-    c0 = np.minimum(c.astype(int), cells[1] - 1)
-    fr, fc = r[:, None] - r0, c - c0
-    top = coarse[r0, c0] * (1 - fc) + coarse[r0, c0 + 1] * fc
-    bottom = coarse[r0 + 1, c0] * (1 - fc) + coarse[r0 + 1, c0 + 1] * fc
-    return top * (1 - fr) + bottom * fr
+    # Cell of each pixel, and the pixel's position in it from 0 to 1.
+    row = np.linspace(0, cells[0], ROWS)
+    column = np.linspace(0, cells[1], COLUMNS)
+    top = np.minimum(row.astype(int), cells[0] - 1)[:, None]
+    left = np.minimum(column.astype(int), cells[1] - 1)
+    down = row[:, None] - top
+    right = column - left
+    # Bilinear interpolation.
+    upper = coarse[top, left] * (1 - right) + coarse[top, left + 1] * right
+    lower = coarse[top + 1, left] * (1 - right) + coarse[top + 1, left + 1] * right
+    return upper * (1 - down) + lower * down
 
 
-def fill_holes(image: np.ndarray, holes: np.ndarray) -> np.ndarray:
-    """The image with each hole filled from its left, else from its right, else from the row above.
+def fill_from_left(image: np.ndarray, holes: np.ndarray) -> np.ndarray:
+    """Fill each hole from its left, else from its right, else from the row above.
 
     This is RealSense's "fill from left", which leaves a smooth and plausible image.
     """
+    # Nearest measured column to the left, or the first measured one of the row.
     columns = np.arange(image.shape[1])
     left = np.maximum.accumulate(np.where(holes, -1, columns), axis=1)
     first = np.argmin(holes, axis=1)[:, None]
     source = np.where(left < 0, first, left)
-    filled = np.take_along_axis(image, source, axis=1)
+    result = np.take_along_axis(image, source, axis=1)
+    # Rows without any measurement copy the nearest row above with one, or the first such row.
     empty = holes.all(axis=1)
     rows = np.maximum.accumulate(np.where(empty, -1, np.arange(len(image))))
-    return filled[np.where(rows < 0, np.argmin(empty), rows)]
+    return result[np.where(rows < 0, np.argmin(empty), rows)]
 
 
 class Gaussian(ImageFault):
@@ -95,8 +106,10 @@ class Occlusion(ImageFault):
     levels = (0.1, 0.25, 0.5, 0.75, 1.0)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
-        height, width = (round(n * np.sqrt(self.level)) for n in DEPTH_SHAPE)
-        top, left = rng.integers(0, ROWS - height + 1), rng.integers(0, COLUMNS - width + 1)
+        height = round(ROWS * np.sqrt(self.level))
+        width = round(COLUMNS * np.sqrt(self.level))
+        top = rng.integers(0, ROWS - height + 1)
+        left = rng.integers(0, COLUMNS - width + 1)
         pattern = np.zeros(DEPTH_SHAPE, bool)
         pattern[top : top + height, left : left + width] = True
         return pattern
@@ -112,12 +125,14 @@ class Blobs(ImageFault):
     levels = (2, 5, 10, 20, 30)
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw the depth of each pixel's blob, NaN where there is none."""
+        """Draw the depth of each pixel's blob; NaN without one."""
         rows, columns = np.mgrid[:ROWS, :COLUMNS]
         pattern = np.full(DEPTH_SHAPE, np.nan, np.float32)
         for _ in range(int(self.level)):
-            r, c, radius = rng.uniform(0, ROWS), rng.uniform(0, COLUMNS), rng.uniform(1, 4)
-            inside = (rows - r) ** 2 + (columns - c) ** 2 <= radius**2
+            row = rng.uniform(0, ROWS)
+            column = rng.uniform(0, COLUMNS)
+            radius = rng.uniform(1, 4)
+            inside = (rows - row) ** 2 + (columns - column) ** 2 <= radius**2
             pattern[inside] = rng.uniform(0.03, 0.2) / DEPTH_RANGE
         return pattern
 
@@ -162,7 +177,7 @@ class GlareFilled(Glare):
     """As glare, but the driver fills the holes from their left: smooth and plausible."""
 
     def fill(self, image: np.ndarray, holes: np.ndarray) -> np.ndarray:
-        return fill_holes(image, holes)
+        return fill_from_left(image, holes)
 
 
 class NearField(ImageFault):
@@ -196,7 +211,7 @@ class MotionBlur(ImageFault):
     samples = 9
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """The mean of the images along the motion during the exposure."""
+        """Average the image along its motion during the exposure."""
         image = frames.image.copy()
         # Nose down moves the picture up, a turn to the left moves it right.
         pixels = np.array((-1.0, 1.0)) * (self.level * 1e-3 * Intrinsics.fx)
@@ -208,7 +223,8 @@ class MotionBlur(ImageFault):
 
 
 def shifted(image: np.ndarray, down: float, right: float) -> np.ndarray:
-    """An image [48, 64] moved by fractions of pixels; the border is repeated."""
+    """Move an image [48, 64] by fractions of pixels; the border is repeated."""
+    # Interpolate linearly, first between rows and then between columns.
     for axis, shift in ((0, down), (1, right)):
         size = image.shape[axis]
         source = np.clip(np.arange(size) - shift, 0, size - 1)

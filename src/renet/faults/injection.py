@@ -17,18 +17,18 @@ from renet.interface import CONTROL_DT
 
 @dataclass(frozen=True)
 class Injection:
-    """One fault on one camera: what, how strong, and when."""
+    """Fault of one camera, with its level and its time."""
 
     fault: str
     """Name in the catalogue (`FAULTS`)."""
     level: float
-    """Strength, in the fault's own unit."""
+    """Level, in the fault's unit."""
     onset: int = 150
-    """Control step (0.02 s) at which it begins."""
+    """Control step (0.02 s) at which the fault begins."""
     duration: float = FOREVER
-    """Seconds for which it is at work."""
+    """Time for which the fault is active, s."""
     period: float = FOREVER
-    """Seconds from one onset to the next; infinity: there is one onset."""
+    """Time from one onset to the next, s; infinity for a single onset."""
 
     def __post_init__(self) -> None:
         fault_class(self.fault)
@@ -42,21 +42,23 @@ class Injection:
     def of(
         cls, fault: str, severity: int, onset: int = 150, duration: float = FOREVER
     ) -> Injection:
-        """The injection of a catalogue fault at a severity between 1 and 5."""
+        """Build the injection of a fault at a severity from 1 to 5."""
         return cls(fault, fault_class(fault).level_of(severity), onset, duration)
 
     def elapsed(self, step: int) -> float:
-        """Seconds since the latest onset at a control step; -1 where it is not at work."""
+        """Return the time since the latest onset at a control step, s; -1 if it is not active."""
         steps = step - self.onset
         if steps < 0:
             return -1.0
         if self.period < FOREVER:
             steps %= max(round(self.period / CONTROL_DT), 1)
         time = steps * CONTROL_DT
-        return time if time < min(self.duration, FAULTS[self.fault].lasts(self.level)) else -1.0
+        # Some faults end by themselves.
+        duration = min(self.duration, FAULTS[self.fault].lasts(self.level))
+        return time if time < duration else -1.0
 
     def at_work(self, step: int) -> bool:
-        """Whether it spoils the camera's frames at a control step."""
+        """Return True if the fault is active at a control step."""
         return self.elapsed(step) >= 0
 
 
@@ -65,18 +67,18 @@ FAULT = re.compile(
     r"(@(?P<onset>\d{1,9}(\.\d+)?)s?(\+(?P<length>\d{1,9}(\.\d+)?)s?)?)?"
 )
 WORST = 5
-"""Severity of a fault that does not name one."""
+"""Severity of a fault that is given without one."""
 
 
 def parse_fault(text: str, onset: float | None = None) -> Injection:
-    """The injection that a command line asks for.
+    """Parse an injection given on the command line.
 
     Args:
         text: `NAME[:SEVERITY]@SECONDS[+DURATION]`, such as `glare:3@4s+2s`.
-        onset: onset in s of a text without one; None: the text must have one.
+        onset: Onset of a text without one, s; with None the text must have one.
 
     Raises:
-        RenetError: a text of another form, an unknown fault or severity.
+        RenetError: The text has another form, or an unknown fault or severity.
     """
     match = FAULT.fullmatch(text)
     begins = float(match["onset"]) if match and match["onset"] else onset
@@ -85,42 +87,50 @@ def parse_fault(text: str, onset: float | None = None) -> Injection:
             f"cannot read the fault {text!r}: write NAME[:SEVERITY]@SECONDS[+DURATION], "
             "such as blackout@5s or glare:3@4s+2s"
         )
-    step, severity = round(begins / CONTROL_DT), int(match["severity"] or WORST)
-    return Injection.of(match["name"], severity, step, duration=float(match["length"] or "inf"))
+    severity = int(match["severity"] or WORST)
+    step = round(begins / CONTROL_DT)
+    duration = float(match["length"] or "inf")
+    return Injection.of(match["name"], severity, step, duration)
 
 
-Schedule = tuple[Injection, ...]
-"""Injections into one camera, which act one after the other on the same frames."""
+FaultSchedule = tuple[Injection, ...]
+"""Injections into one camera, applied one after the other to the same frames."""
 
 
 class Injector:
-    """Spoils the frames of a batch of robots, each by its own schedule."""
+    """Injector of faults into the frames of a batch of robots, each with its own schedule."""
 
     def __init__(
         self,
-        schedules: Sequence[Schedule],
+        schedules: Sequence[FaultSchedule],
         streams: Sequence[int],
         seed: int,
         physical: bool = False,
     ) -> None:
-        """Set up the faults. Robots with the same stream and seed draw the same noise in any row.
+        """Build the faults of all robots.
+
+        Robots with the same stream and seed draw the same noise, whatever their rows are.
 
         Args:
-            schedules: one for each robot.
-            streams: number of each robot's random stream.
-            seed: seed of the whole study.
-            physical: whether the cameras are in a world that carries out physical faults; these
-                raise RenetError elsewhere.
+            schedules: Schedules of the robots.
+            streams: Numbers of the robots' random streams.
+            seed: Seed of the whole study.
+            physical: The cameras are in a simulated world, which can apply physical faults.
+
+        Raises:
+            RenetError: A schedule has a physical fault, but the cameras are not in such a world.
         """
         self._num_robots = len(schedules)
         self._stages: list[tuple[Injection, Fault, np.ndarray]] = []
-        for place in range(max((len(s) for s in schedules), default=0)):
+        length = max((len(schedule) for schedule in schedules), default=0)
+        for position in range(length):
+            # Robots with the same injection at this position share a fault.
             groups: dict[Injection, list[int]] = {}
             for row, schedule in enumerate(schedules):
-                if place < len(schedule):
-                    groups.setdefault(schedule[place], []).append(row)
+                if position < len(schedule):
+                    groups.setdefault(schedule[position], []).append(row)
             for injection, rows in groups.items():
-                rngs = [np.random.default_rng([seed, place, streams[row]]) for row in rows]
+                rngs = [np.random.default_rng([seed, position, streams[row]]) for row in rows]
                 fault = FAULTS[injection.fault](injection.level, rngs)
                 if isinstance(fault, PhysicalFault) and not physical:
                     raise RenetError(
@@ -130,14 +140,14 @@ class Injector:
                 self._stages.append((injection, fault, np.array(rows)))
 
     def at_work(self, step: int) -> np.ndarray:
-        """[n] bool: robots whose camera fails at a control step."""
-        failing = np.zeros(self._num_robots, bool)
+        """Return a mask of robots with an active fault at a control step, [n] bool."""
+        mask = np.zeros(self._num_robots, bool)
         for injection, _, rows in self._stages:
-            failing[rows] |= injection.at_work(step)
-        return failing
+            mask[rows] |= injection.at_work(step)
+        return mask
 
     def perturbation(self, step: int) -> ViewPerturbation:
-        """The cameras' view of their scene at a control step."""
+        """Compute the difference between the cameras' views and their scenes at a control step."""
         view = ViewPerturbation.none(self._num_robots)
         for injection, fault, rows in self._stages:
             if isinstance(fault, PhysicalFault) and injection.at_work(step):
@@ -145,11 +155,13 @@ class Injector:
         return view
 
     def apply(self, frames: Frames, step: int, spared: np.ndarray | None = None) -> Frames:
-        """The frames after all faults of this control step; called once in each vision tick.
+        """Apply all faults to frames; call this once in each vision tick.
 
         Args:
-            frames: of all robots. step: control step.
-            spared: [n] bool, robots whose frames nobody looks at any more; they stay as they are.
+            frames: Frames of all robots; not changed.
+            step: Control step.
+            spared: True for robots whose frames are not read any more and stay as they are, [n]
+                bool.
         """
         frames = frames.copy()
         for injection, fault, rows in self._stages:

@@ -1,7 +1,7 @@
-"""Physical faults: the camera works, but shows another scene than the one the feet meet.
+"""Physical faults, in which the camera works but sees another scene than the feet touch.
 
-They cannot be painted on an image. A fault describes how a camera's view differs from the scene,
-and a simulated environment casts its rays accordingly.
+They cannot be applied to an image. A fault describes the difference between a camera's view and the
+scene, and a simulated environment casts its rays accordingly.
 """
 
 from __future__ import annotations
@@ -21,37 +21,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ViewPerturbation:
-    """How the views of n cameras differ from their scenes."""
+    """Difference between the views of n cameras and their scenes."""
 
     lift: np.ndarray
-    """[n] m by which every surface appears higher than it is."""
+    """Height by which all surfaces appear too high, [n] m."""
     turn: np.ndarray
-    """[n, 3] rotation vector of the camera in its mount, rad, camera axes (forward, left, up)."""
+    """Rotation vector of the camera in its mount, camera axes (forward, left, up), [n, 3] rad."""
     glass: np.ndarray
-    """[n] share of the obstacles that rays pass through, and feet do not."""
+    """Share of the obstacles that rays pass through, but feet do not, [n]."""
 
     @classmethod
     def none(cls, n: int) -> ViewPerturbation:
-        """No difference."""
-        return cls(np.zeros(n), np.zeros((n, 3)), np.zeros(n))
+        """Return no difference, of n cameras."""
+        return cls(lift=np.zeros(n), turn=np.zeros((n, 3)), glass=np.zeros(n))
 
     def __eq__(self, other: object) -> bool:
-        """Whether all numbers are equal."""
-        same_kind = isinstance(other, ViewPerturbation)
-        return same_kind and all(map(np.array_equal, vars(self).values(), vars(other).values()))
+        if not isinstance(other, ViewPerturbation):
+            return False
+        return all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
 
 class PhysicalFault(Fault):
-    """A fault of the scene or the mount, which leaves frames as they are."""
+    """Fault of the scene or the mount, which does not change frames."""
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """The same frames, whose rays were cast into the wrong scene already."""
+        """Return the same frames, whose rays were cast into the wrong scene already."""
         return frames
 
     def apply(self, view: ViewPerturbation, rows: np.ndarray, elapsed: float) -> None:
-        """Add the fault to the view of the robots `rows`, which are in the order of the streams.
+        """Add the fault to the view of some robots, in place.
 
-        `elapsed` is the number of seconds since the fault began.
+        Args:
+            view: View of all robots.
+            rows: Indices of the fault's robots, in the order of its random streams.
+            elapsed: Time since the fault began, s.
         """
         raise NotImplementedError
 
@@ -95,7 +98,7 @@ class MountKnocked(PhysicalFault):
         view.turn[rows] += np.radians(self.angle(elapsed)) * unit_vectors(self.patterns)
 
     def angle(self, elapsed: float) -> float:
-        """Degrees by which the camera is turned some seconds after the fault began."""
+        """Return the angle of the turn in degrees, `elapsed` s after the onset."""
         return self.level
 
 
@@ -115,30 +118,39 @@ class MountCreep(MountKnocked):
 
 
 def unit_vectors(vectors: Sequence[np.ndarray]) -> np.ndarray:
-    """Vectors of length 1, [n, 3], in the directions of others."""
+    """Scale vectors [n, 3] to length 1."""
     directions = np.array(vectors)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
-    """Geoms of each tile's obstacles: boxes that neither span the tile nor carry its start.
+    """List each tile's obstacles: geoms of boxes that neither span the tile nor carry its start.
+
+    Obstacles of a course are the boxes of `OBSTACLE_GROUP`.
 
     Args:
-        model: a scene with terrain; raises RenetError without obstacles.
-        middles: [tiles, 2] m, world.
+        model: Scene with terrain.
+        middles: Centres of the tiles in the world frame, [T, 2] m.
+
+    Raises:
+        RenetError: The terrain has no obstacles.
     """
     import mujoco
 
-    from renet.terrain.tiles import TILE
+    from renet.terrain.tiles import OBSTACLE_GROUP, TILE
 
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    half, centre = model.geom_size[:, :2], data.geom_xpos[:, :2]
-    in_terrain = model.body_rootid[model.geom_bodyid] == model.body("terrain").id
-    box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
-    start = (np.abs(middles[:, None] - centre) <= half).all(axis=2).any(axis=0)
-    within_tile = (half < TILE / 2 - 1e-6).all(axis=1)
-    geoms = np.flatnonzero(in_terrain & box & ~start & within_tile)
+    half_size = model.geom_size[:, :2]
+    centre = data.geom_xpos[:, :2]
+    is_terrain = model.body_rootid[model.geom_bodyid] == model.body("terrain").id
+    is_box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
+    carries_start = (np.abs(middles[:, None] - centre) <= half_size).all(axis=2).any(axis=0)
+    is_within_tile = (half_size < TILE / 2 - 1e-6).all(axis=1)
+    # The group of a course's obstacles replaces the rule for tiles.
+    is_grouped = is_terrain & (model.geom_group == OBSTACLE_GROUP)
+    is_obstacle = is_grouped | (~carries_start & is_within_tile & ~is_grouped.any())
+    geoms = np.flatnonzero(is_terrain & is_box & is_obstacle)
     if not len(geoms):
         raise RenetError(
             "this terrain has no obstacle that could be glass: choose obstacles, stairs_up or"
@@ -148,10 +160,11 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     return [geoms[tiles == tile].tolist() for tile in np.unique(tiles)]
 
 
-def spread(tiles: list[list[int]], share: float) -> frozenset[int]:
-    """A share of the geoms of each tile, at least one, spread evenly over their order."""
-    chosen: set[int] = set()
+def choose_evenly(tiles: list[list[int]], share: float) -> frozenset[int]:
+    """Choose a share of the geoms of each tile, at least one, evenly spaced in their order."""
+    choice: set[int] = set()
     for geoms in tiles:
+        # A geom is chosen where the rounded number of geoms up to it grows.
         counts = np.ceil(np.arange(len(geoms) + 1) * share - 1e-9)
-        chosen.update(np.array(geoms)[np.diff(counts) > 0].tolist())
-    return frozenset(chosen)
+        choice.update(np.array(geoms)[np.diff(counts) > 0].tolist())
+    return frozenset(choice)

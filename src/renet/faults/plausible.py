@@ -1,4 +1,4 @@
-"""Images that look healthy and are wrong: no hole, no grain, nothing that a picture gives away.
+"""Wrong images that look healthy, without holes and noise.
 
 Depths are normalised: 1 is `DEPTH_RANGE` metres. A number after the name of a project is that of
 its public issue, so that librealsense#7588 is github.com/realsenseai/librealsense/issues/7588.
@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from renet.faults.base import FOREVER, Fault, Frames, ImageFault
-from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
-
-ROWS, COLUMNS = DEPTH_SHAPE
+from renet.faults.image import COLUMNS, ROWS
+from renet.interface import DEPTH_RANGE
 
 
 class Mirrored(ImageFault):
@@ -41,13 +40,16 @@ class Turned(ImageFault):
     levels = (5, 15, 45, 90, 180)
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        """The nearest pixel of the turned image; its border is repeated."""
-        middle = (ROWS - 1) / 2, (COLUMNS - 1) / 2
+        """Take the nearest pixel of the turned image; its border is repeated."""
+        middle_row = (ROWS - 1) / 2
+        middle_column = (COLUMNS - 1) / 2
         rows, columns = np.mgrid[:ROWS, :COLUMNS]
-        down, right = rows - middle[0], columns - middle[1]
-        sine, cosine = np.sin(np.radians(self.level)), np.cos(np.radians(self.level))
-        row = np.rint(middle[0] + cosine * down + sine * right).astype(int)
-        column = np.rint(middle[1] + cosine * right - sine * down).astype(int)
+        down = rows - middle_row
+        right = columns - middle_column
+        sine = np.sin(np.radians(self.level))
+        cosine = np.cos(np.radians(self.level))
+        row = np.rint(middle_row + cosine * down + sine * right).astype(int)
+        column = np.rint(middle_column + cosine * right - sine * down).astype(int)
         return image[row.clip(0, ROWS - 1), column.clip(0, COLUMNS - 1)]
 
 
@@ -77,7 +79,7 @@ class HalfFrozen(Fault):
     _last: np.ndarray | None = None
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw which rows are frozen, [48] bool."""
+        """Draw a mask of the frozen rows, [48] bool."""
         height = round(self.level * ROWS)
         top = rng.integers(0, ROWS - height + 1)
         rows = np.arange(ROWS)
@@ -126,12 +128,12 @@ class GainDrift(ImageFault):
     levels = (2, 5, 10, 20, 40)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw whether depths grow, 1, or shrink, -1."""
+        """Draw 1 for depths that grow, or -1 for depths that shrink."""
         return rng.choice((-1.0, 1.0))
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
-        grown = min((1 + self.level / 100) ** elapsed, 2.0)
-        return image * np.float32(grown ** self.patterns[robot])
+        factor = min((1 + self.level / 100) ** elapsed, 2.0)
+        return image * np.float32(factor ** self.patterns[robot])
 
 
 class WrapAround(ImageFault):
@@ -181,7 +183,7 @@ class StrayLight(ImageFault):
     levels = (0.1, 0.2, 0.35, 0.5, 0.7)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw the normalised depth of what the light comes from."""
+        """Draw the normalised depth of the source of the light."""
         return rng.uniform(0.1, 0.5) / DEPTH_RANGE
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:

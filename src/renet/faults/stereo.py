@@ -15,19 +15,19 @@ from renet.interface import DEPTH_RANGE
 FOCAL = Intrinsics().fx
 """Focal length in pixels of the delivered image."""
 BASELINE = 0.05
-"""m between a D435i's imagers."""
-NEAREST = 0.3
-"""m; nearer surfaces get the disparity of this distance."""
+"""Distance between the imagers of a D435i, m."""
+NEAREST_DEPTH = 0.3
+"""Depth whose disparity nearer surfaces have, too, m."""
 FLAT_DISPARITY = 0.15
-"""Largest difference in pixels of a smooth surface's disparity from its neighbours' plane."""
+"""Largest difference of a smooth surface's disparity from the plane of its neighbours, pixels."""
 
 
 def disparity(image: np.ndarray, baseline: float) -> np.ndarray:
-    """Disparity [48, 64] in pixels of an image, whose grain a 3 x 3 median removes first."""
+    """Compute the disparity of an image after a 3 x 3 median, [48, 64] pixels."""
     padded = np.pad(image, 1, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     depth = np.median(windows, axis=(2, 3)) * DEPTH_RANGE
-    return FOCAL * baseline / np.maximum(depth, NEAREST)
+    return FOCAL * baseline / np.maximum(depth, NEAREST_DEPTH)
 
 
 class EdgeShadow(ImageFault):
@@ -89,14 +89,16 @@ class Textureless(ImageFault):
 
 
 def smooth_surface(image: np.ndarray) -> np.ndarray:
-    """[48, 64] bool: pixels whose disparity lies on the plane through its neighbours'.
+    """Return a mask of pixels whose disparity is in the plane of its neighbours', [48, 64] bool.
 
-    A plane's disparity is linear in the image's coordinates, whatever its slope.
+    A plane's disparity is linear in the image's coordinates, whatever its slope is.
     """
-    shift = disparity(image, BASELINE)
-    far = 2
-    padded = np.pad(shift, far, mode="reflect", reflect_type="odd")
-    middle = slice(far, -far)
-    across = (padded[middle, 2 * far :] + padded[middle, : -2 * far]) / 2
-    along = (padded[2 * far :, middle] + padded[: -2 * far, middle]) / 2
-    return np.maximum(np.abs(across - shift), np.abs(along - shift)) < FLAT_DISPARITY
+    pixels = disparity(image, BASELINE)
+    # Compare each pixel with the mean of two neighbours, in its row and in its column.
+    distance = 2
+    padded = np.pad(pixels, distance, mode="reflect", reflect_type="odd")
+    middle = slice(distance, -distance)
+    row_mean = (padded[middle, 2 * distance :] + padded[middle, : -2 * distance]) / 2
+    column_mean = (padded[2 * distance :, middle] + padded[: -2 * distance, middle]) / 2
+    difference = np.maximum(np.abs(row_mean - pixels), np.abs(column_mean - pixels))
+    return difference < FLAT_DISPARITY

@@ -35,7 +35,7 @@ class Dropped(Fault):
     _held: Frames | None = None
 
     def missing(self, elapsed: np.ndarray) -> np.ndarray:
-        """[n] bool: the robots that get no frame at this tick."""
+        """Draw a mask of robots without a frame at this tick, [n] bool."""
         lost = elapsed >= 0
         for i in np.flatnonzero(lost).tolist():
             lost[i] = self.rngs[i].random() < self.level
@@ -76,22 +76,30 @@ class Latency(Fault):
         super().__init__(level, rngs)
         depth = int(np.ceil(1.5e-3 * level / TICK_DT)) + 2
         self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=depth)
-        self._served = np.full(len(rngs), -np.inf)
+        self._last_capture = np.full(len(rngs), -np.inf)
         self._now = 0.0
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Serve the newest image that has arrived by now."""
+        """Deliver the newest image that has arrived by now."""
+        # Store the new images, newest first, with the times at which they arrive.
         self._now += TICK_DT
         delay = np.array([rng.uniform(0.5, 1.5) * self.level * 1e-3 for rng in self.rngs])
         arrival = np.where(elapsed >= 0, self._now + delay, self._now)
         self._past.appendleft((frames.image.copy(), arrival))
+
+        # Find the newest one that has arrived, for each robot; until then show the oldest.
         arrivals = np.stack([arrival for _, arrival in self._past])
-        here = arrivals <= self._now + 1e-9
-        here[-1] = True  # Until one arrives the oldest is shown.
-        back = here.argmax(axis=0)
-        image = np.stack([self._past[k][0][i] for i, k in enumerate(back.tolist())])
-        capture = self._now - TICK_DT * back
-        fresh = capture > self._served + 1e-9
-        self._served = capture
-        age = np.where(fresh, 0.0, self._now - arrivals[back, np.arange(len(back))])
+        has_arrived = arrivals <= self._now + 1e-9
+        has_arrived[-1] = True
+        ticks_ago = has_arrived.argmax(axis=0)
+        images = []
+        for robot, ticks in enumerate(ticks_ago.tolist()):
+            images.append(self._past[ticks][0][robot])
+        image = np.stack(images)
+
+        # An image is fresh if it was captured after the one delivered last.
+        capture = self._now - TICK_DT * ticks_ago
+        fresh = capture > self._last_capture + 1e-9
+        self._last_capture = capture
+        age = np.where(fresh, 0.0, self._now - arrivals[ticks_ago, np.arange(len(ticks_ago))])
         return replace(frames, image=image, fresh=fresh, age=age)

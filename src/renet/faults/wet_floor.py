@@ -1,4 +1,4 @@
-"""Polished and wet floors, which mirror what is above them: the mirror image lies below the floor.
+"""Polished and wet floors, in which things above them appear below the floor.
 
 RealSense users find wrong depth on them (librealsense#8409, librealsense#10229), and
 time-of-flight users a scene upside down in the ground (github.com/ifm/ifm3d/issues/118).
@@ -10,24 +10,24 @@ import numpy as np
 
 from renet.camera import Intrinsics
 from renet.faults.base import ImageFault
+from renet.faults.image import COLUMNS
 from renet.faults.vegetation import CAMERA_HEIGHT, CAMERA_PITCH
-from renet.interface import DEPTH_RANGE, DEPTH_SHAPE
+from renet.interface import DEPTH_RANGE
 
-COLUMNS = DEPTH_SHAPE[1]
 STREAK = (16, 4)
 """Rows and columns of a lamp's mirror image."""
-SWAY = 4.0
+SWAY_COLUMNS = 4.0
 """Columns by which mirror images move to either side as the body sways."""
 SWAY_PERIOD = 3.0
-"""s"""
+"""Period of the sway, s."""
 HORIZON = 0.97
-"""Normalised depth; the floor is nearer."""
+"""Normalised depth below which pixels show the floor."""
 APPROACH = 0.5
-"""m/s at which a patch comes nearer."""
+"""Speed at which a patch comes nearer, m/s."""
 WET = (0.3, 1.3)
-"""m on the ground from the camera to where a patch is left behind, and to where it appears."""
+"""Distances along the ground at which a patch disappears and appears, m."""
 IN_FRONT = 0.8
-"""Share of the floor's depth; what is nearer stands on the floor."""
+"""Share of the floor's depth below which an object stands in front of the floor."""
 
 
 class FloorReflection(ImageFault):
@@ -45,7 +45,7 @@ class FloorReflection(ImageFault):
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
         """The image with streaks from where each lamp's part of the floor begins."""
         spoilt = image.copy()
-        sway = SWAY * np.sin(2 * np.pi * elapsed / SWAY_PERIOD)
+        sway = SWAY_COLUMNS * np.sin(2 * np.pi * elapsed / SWAY_PERIOD)
         lefts = np.clip(self.patterns[robot] + sway, 0, COLUMNS - STREAK[1]).astype(int)
         for left in lefts.tolist():
             columns = slice(left, left + STREAK[1])
@@ -66,7 +66,7 @@ class WetPatch(ImageFault):
     levels = (0.15, 0.25, 0.4, 0.6, 0.9)
 
     def draw(self, rng: np.random.Generator) -> tuple[float, float]:
-        """Draw m to the left of the camera, and m of the approach that lie behind."""
+        """Draw a patch's distance to the left of the camera, and its way so far, m."""
         return rng.uniform(-0.2, 0.2), rng.uniform(0.0, WET[1] - WET[0])
 
     def spoil(self, image: np.ndarray, robot: int, elapsed: float) -> np.ndarray:
@@ -81,9 +81,10 @@ class WetPatch(ImageFault):
 
 @cache
 def floor() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Depth of level ground in each pixel, and how far ahead and to the left it is, [48, 64] m.
+    """Compute the position of level ground in each pixel; the horizon is above the image.
 
-    The horizon is above the image.
+    Returns:
+        Depth, distance ahead, and distance to the left, [48, 64] m each.
     """
     left, up = Intrinsics().axes()
     drop = np.sin(CAMERA_PITCH) - up * np.cos(CAMERA_PITCH)

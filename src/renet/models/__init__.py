@@ -1,1 +1,1 @@
-"""What is learned: embeddings, encoders, estimators, HIM, autoencoder, actor and critics."""
+"""Networks: embeddings, encoders, estimators, HIM, autoencoder, actor and critics."""

@@ -12,7 +12,7 @@ from renet.models.config import ModelCfg
 
 
 def mlp(sizes: Sequence[int]) -> nn.Sequential:
-    """Linear layers with ELU between them."""
+    """Build linear layers with ELU between them; `sizes` are widths from input to output."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [nn.Linear(inputs, outputs), nn.ELU(inplace=True)]
@@ -20,7 +20,7 @@ def mlp(sizes: Sequence[int]) -> nn.Sequential:
 
 
 class Actor(nn.Module):
-    """Gaussian policy over joint-position actions with a state-independent deviation."""
+    """Gaussian policy over joint positions, whose deviation does not depend on the state."""
 
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__()
@@ -31,18 +31,19 @@ class Actor(nn.Module):
             self.mean[-1].weight.mul_(0.1)  # type: ignore[operator]
 
     def forward(self, proprioception: Tensor, latent: Tensor) -> Tensor:
-        """Mean action [B, 12] from o_t [B, 45] and h [B, 128]."""
+        """Compute the mean action [B, 12] from o_t [B, 45] and h [B, 128]."""
         return self.mean(torch.cat((proprioception, latent), dim=-1))
 
     def distribution(self, proprioception: Tensor, latent: Tensor) -> Normal:
-        """Action distribution; independent over joints."""
+        """Compute the action distribution, which is independent over joints."""
         return self._around(self(proprioception, latent))
 
     def log_prob(self, mean: Tensor, action: Tensor) -> Tensor:
-        """Log density [...] of actions [..., 12] drawn around a mean."""
+        """Compute log-probabilities [...] of actions [..., 12], given the policy's means."""
         return self._around(mean).log_prob(action).sum(-1)
 
     def _around(self, mean: Tensor) -> Normal:
+        """Return the action distribution with a mean."""
         return Normal(mean, self.log_std.exp(), validate_args=False)
 
 
@@ -55,6 +56,8 @@ class Critics(nn.Module):
         self.costs = nn.ModuleList(mlp((inputs, *cfg.cost_critic_hidden, 1)) for _ in CONSTRAINTS)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Column 0 is the reward's value, then interface.CONSTRAINTS in order."""
-        values = [self.reward(observation), *(critic(observation) for critic in self.costs)]
+        """Compute values; column 0 is the reward's, the others those of interface.CONSTRAINTS."""
+        values = [self.reward(observation)]
+        for critic in self.costs:
+            values.append(critic(observation))
         return torch.cat(values, dim=-1)

@@ -1,5 +1,6 @@
-"""The anomaly detector: an autoencoder of two consecutive depth images (RENet, eq. 4)."""
+"""Anomaly detector: an autoencoder of two consecutive depth images (RENet, eq. 4)."""
 
+import math
 from itertools import pairwise
 
 import torch
@@ -11,26 +12,29 @@ from renet.models.config import Detector
 CHANNELS = (8, 16, 32)
 """Channels of the three convolutions of the encoder."""
 BOTTLENECK = 32
-"""Width of the paper's detector between encoder and decoder."""
+"""Width of the bottleneck of the paper's detector."""
 SPATIAL_BOTTLENECK = 4
-"""Channels of the variance detector there, at an eighth of the image's resolution."""
+"""Channels of the bottleneck of the variance detector, at an eighth of the image's resolution."""
 LOG_VARIANCE = (-10.0, 2.0)
-"""Range of the predicted log variance of a pixel; images are in [0, 1]."""
+"""Smallest and largest predicted log variance of a pixel; images are in [0, 1]."""
 
 
 class DepthAutoencoder(nn.Module):
-    """Convolutions down, deconvolutions up, over (d_t, d_{t-1}): [B, 2, 48, 64] to the same.
+    """Convolutional autoencoder of image pairs (d_t, d_{t-1}), [B, 2, 48, 64] in [0, 1].
 
-    The variance detector also predicts the variance of its own error at each pixel. It knows that
-    edges are hard to draw and flat ground is not, so that an error counts by how unusual it is.
+    The variance detector also predicts the variance of its error at each pixel. It learns that
+    edges are hard to reconstruct and flat ground is easy, so that an error counts by how unusual
+    it is.
     """
 
     def __init__(self, detector: Detector = "reconstruction") -> None:
         super().__init__()
         self.detector = detector
         third = CHANNELS[-1]
-        shape = (third, *(size // 8 for size in DEPTH_SHAPE))
-        size = shape[0] * shape[1] * shape[2]
+        # The three convolutions halve rows and columns each.
+        rows, columns = DEPTH_SHAPE
+        shape = (third, rows // 8, columns // 8)
+        size = math.prod(shape)
         narrow: list[nn.Module]
         widen: list[nn.Module]
         if detector == "variance":
@@ -41,7 +45,8 @@ class DepthAutoencoder(nn.Module):
             outputs = FRAMES
             narrow = [nn.Flatten(), nn.Linear(size, BOTTLENECK)]
             widen = [nn.Linear(BOTTLENECK, size), nn.ELU(inplace=True), nn.Unflatten(1, shape)]
-        down, up = [], []
+        down = []
+        up = []
         for wide, deep in pairwise((FRAMES, *CHANNELS)):
             down += [nn.Conv2d(wide, deep, 4, stride=2, padding=1), nn.ELU(inplace=True)]
         for deep, wide in pairwise((*reversed(CHANNELS), outputs)):
@@ -52,42 +57,46 @@ class DepthAutoencoder(nn.Module):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def predict(self, depth: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Reconstruct depth images.
+        """Reconstruct image pairs.
 
         Args:
-            depth: [B, 2, 48, 64] in [0, 1].
+            depth: Image pairs, [B, 2, 48, 64] in [0, 1].
 
         Returns:
-            The reconstruction, [B, 2, 48, 64], and of the variance detector the logarithm of the
-            variance of each pixel's error, else None.
+            The reconstruction, [B, 2, 48, 64], and the log variance of each pixel's error, of the
+            same shape, or None for the paper's detector.
         """
-        decoded = self.decode(self.encode(depth - 0.5))
+        # Images around zero rather than around a half.
+        output = self.decode(self.encode(depth - 0.5))
         if self.detector != "variance":
-            return decoded + 0.5, None
-        return decoded[:, :FRAMES] + 0.5, decoded[:, FRAMES:].clamp(*LOG_VARIANCE)
+            return output + 0.5, None
+        reconstruction = output[:, :FRAMES] + 0.5
+        log_variance = output[:, FRAMES:].clamp(*LOG_VARIANCE)
+        return reconstruction, log_variance
 
     def loss(self, depth: Tensor) -> dict[str, Tensor]:
-        """What the detector learns from image pairs [B, 2, 48, 64]; named scalars.
+        """Compute the detector's losses on image pairs [B, 2, 48, 64]; scalars by name.
 
-        `anomaly` is Loss_ad (eq. 4). Of the variance detector it is logged, not learned:
-        `anomaly_nll`, the Gaussian negative log-likelihood of each pixel, takes its place.
+        `anomaly` is Loss_ad (eq. 4). The variance detector learns `anomaly_nll` in its place, the
+        Gaussian negative log-likelihood of each pixel; its `anomaly` has no gradient.
         """
         reconstruction, log_variance = self.predict(depth)
         anomaly = anomaly_score(depth, reconstruction).mean()
         if log_variance is None:
             return {"anomaly": anomaly}
-        scaled = (depth - reconstruction) ** 2 / log_variance.exp()
-        return {"anomaly": anomaly.detach(), "anomaly_nll": 0.5 * (scaled + log_variance).mean()}
+        ratio = (depth - reconstruction) ** 2 / log_variance.exp()
+        nll = 0.5 * (ratio + log_variance).mean()
+        return {"anomaly": anomaly.detach(), "anomaly_nll": nll}
 
 
 def anomaly_score(depth: Tensor, reconstruction: Tensor) -> Tensor:
-    """Loss_ad of each pair, [B]: mean squared error over both images (RENet, eq. 4)."""
+    """Compute Loss_ad of each pair, [B]: the mean squared error over both images (RENet, eq. 4)."""
     return torch.mean((depth - reconstruction) ** 2, dim=(1, 2, 3))
 
 
 def variance_score(depth: Tensor, reconstruction: Tensor, log_variance: Tensor) -> Tensor:
-    """Mean over both images of each pixel's squared error over its predicted variance, [B].
+    """Compute the mean ratio of a pair's squared errors to their predicted variances, [B].
 
-    About 1 for images like training's, whatever they show.
+    It is about 1 for images like those of training.
     """
     return torch.mean((depth - reconstruction) ** 2 / log_variance.exp(), dim=(1, 2, 3))

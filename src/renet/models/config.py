@@ -1,4 +1,4 @@
-"""What is learned, as one dataclass: every row of the paper's ablation table is one field."""
+"""Configuration of the networks; each row of the paper's ablation table is one field."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -16,33 +16,33 @@ class ModelCfg:
     """Networks of RENet (paper, Method A) and the switches of its Table I."""
 
     perception: Perception = "renet"
-    """Which latents the actor reads: both estimators in turn (paper), VP only, OP only, or those of
-    a VP that sees the true height map (Oracle)."""
+    """Latents that the actor reads: those of both estimators in turn (paper), of VP, of OP, or of a
+    VP that sees the true height map (Oracle)."""
     encoder: Encoder = "attention"
     """Feature fusion: single-layer single-head self-attention (SA) or an MLP (paper)."""
     history: int = HISTORY
-    """H1, proprioceptions an estimator sees; 1 is the row "One Obs"."""
+    """Number H1 of proprioceptions that an estimator reads; 1 is the row "One Obs"."""
     frames: int = FRAMES
-    """H2, depth images the VP estimator sees; 1 is the row "One Image"."""
+    """Number H2 of depth images that VP reads; 1 is the row "One Image"."""
     predict_velocity: bool = True
-    """False is the row "w/o VEL"."""
+    """Velocity head of both estimators; False is the row "w/o VEL"."""
     predict_feet_height: bool = True
-    """False is the row "w/o FH"."""
+    """Head of VP for the heights of the feet; False is the row "w/o FH"."""
     predict_height_map: bool = True
-    """False is the row "w/o HF"."""
+    """Head of VP for the height map; False is the row "w/o HF"."""
     predict_map_error: bool = False
-    """Predict the variance of the height map's error, too, which tells when VP's memory of the
-    ground is stale (not the paper's); only beside a height map."""
+    """Head of VP for the variance of the height map's error, which grows as its memory of the
+    ground gets old (not the paper's). It needs the height map."""
     predict_far_map: bool = False
-    """Predict the ground beyond the height map, too, as far as images reach (not the paper's): VP
-    remembers what it is taught. Nobody reads the prediction."""
+    """Head of VP for the ground beyond the height map, as far as images reach (not the paper's).
+    Only its loss is used: VP remembers what it learns to predict."""
     him: bool = True
     """Hybrid internal model loss on both estimators; False is the row "w/o HIM"."""
     detector: Detector = "reconstruction"
-    """Anomaly detector: the paper's, scored by its squared error (eq. 4), or one that also predicts
-    the variance of its error and is scored by their ratio."""
+    """Anomaly detector: `reconstruction` is the paper's, scored by its squared error (eq. 4);
+    `variance` also predicts the variance of its error, and is scored by their ratio."""
     actor_hidden: tuple[int, ...] = (256, 256, 128)
-    """Hidden units of the actor; with the other two ONNX models it must stay below 3 MB."""
+    """Hidden units of the actor. All three ONNX models together must stay below 3 MB."""
     critic_hidden: tuple[int, ...] = (256, 256, 128)
     """Hidden units of the reward critic."""
     cost_critic_hidden: tuple[int, ...] = (128, 64)
@@ -55,7 +55,8 @@ class ModelCfg:
             raise RenetError(f"model.frames must be 1..{FRAMES}, got {self.frames}")
         kinds = {"perception": Perception, "encoder": Encoder, "detector": Detector}
         for name, kind in kinds.items():
-            choices, value = get_args(kind), getattr(self, name)
+            choices = get_args(kind)
+            value = getattr(self, name)
             if value not in choices:
                 raise RenetError(f"model.{name} must be one of {', '.join(choices)}, got {value!r}")
         if not self.initial_std > 0:

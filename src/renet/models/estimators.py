@@ -1,8 +1,8 @@
-"""The redundant pair: OP (proprioception only) and VP (vision and proprioception).
+"""Redundant pair of estimators: OP (proprioception only) and VP (vision and proprioception).
 
-Each embeds its inputs, fuses them, and carries a one-layer GRU whose 64-wide output is both its
-memory and the latent the actor reads (h_b for OP, h_v for VP). Heads are training's business,
-except that the runtime also reports what they predict.
+Each embeds its inputs, fuses them, and advances a one-layer GRU. The GRU's 64-wide output is both
+the estimator's memory and the latent that the actor reads (h_b of OP, h_v of VP). Heads, which
+predict velocity and ground from the latent, are for training; the actor does not read them.
 """
 
 import math
@@ -31,7 +31,7 @@ TOKEN = 16
 
 
 class ProprioceptionEmbedding(nn.Sequential):
-    """Two-layer MLP for o_t^{H1}: [B, H1, 45] to [B, 64]."""
+    """Two-layer MLP that embeds o_t^{H1}: [B, H1, 45] to [B, 64]."""
 
     def __init__(self, history: int) -> None:
         layers = mlp((history * PROPRIOCEPTION_SIZE, 2 * EMBEDDING, EMBEDDING))
@@ -39,11 +39,12 @@ class ProprioceptionEmbedding(nn.Sequential):
 
 
 def _compressor(inputs: int) -> nn.Sequential:
+    """Build a layer [B, inputs] to [B, 64]."""
     return nn.Sequential(nn.Linear(inputs, EMBEDDING), nn.ELU(inplace=True))
 
 
 class DepthEmbedding(nn.Module):
-    """Three-layer CNN for d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, 64]."""
+    """Three-layer CNN that embeds d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, 64]."""
 
     def __init__(self, frames: int) -> None:
         super().__init__()
@@ -61,12 +62,14 @@ class DepthEmbedding(nn.Module):
         self.project = _compressor(32 * rows * columns)
 
     def forward(self, depth: Tensor) -> Tensor:
-        """Embed depth images; centring them keeps the first layer's inputs zero-mean."""
-        return self.project(torch.flatten(self.convolutions(depth - 0.5), 1))
+        """Embed depth images, [B, H2, 48, 64] to [B, 64]."""
+        # Images around zero rather than around a half.
+        features = self.convolutions(depth - 0.5)
+        return self.project(torch.flatten(features, 1))
 
 
 class MlpEncoder(nn.Module):
-    """Concatenate the embeddings ([B, 64] each) and compress them to [B, 64]."""
+    """Fusion of embeddings ([B, 64] each) by an MLP of their concatenation."""
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
@@ -79,10 +82,10 @@ class MlpEncoder(nn.Module):
 
 
 class AttentionEncoder(nn.Module):
-    """Split the embeddings into tokens and fuse them by one layer, one head of attention.
+    """Fusion of embeddings ([B, 64] each), split into tokens, by one layer and head of attention.
 
-    Reference: RENet, Method A, "Transformer-based feature fusion"; Vaswani et al. 2017. Tokens keep
-    a learned position so that proprioception and vision stay distinguishable.
+    Reference: RENet, Method A, "Transformer-based feature fusion"; Vaswani et al. 2017. A learned
+    position of each token tells proprioception from vision.
     """
 
     def __init__(self, inputs: int) -> None:
@@ -98,14 +101,16 @@ class AttentionEncoder(nn.Module):
         tokens = torch.cat(embeddings, dim=-1).unflatten(-1, (-1, TOKEN)) + self.position
         query, key, value = self.query_key_value(tokens).chunk(3, dim=-1)
         weights = torch.softmax(query @ key.transpose(-1, -2) / math.sqrt(TOKEN), dim=-1)
-        return self.compress(torch.flatten(self.norm(tokens + weights @ value), 1))
+        # A residual connection around the attention, then a normalisation.
+        output = self.norm(tokens + weights @ value)
+        return self.compress(torch.flatten(output, 1))
 
 
 ENCODERS: dict[str, type[nn.Module]] = {"attention": AttentionEncoder, "mlp": MlpEncoder}
 
 
 class Estimator(nn.Module):
-    """What OP and VP share: encoder, GRU, velocity head, and unrolling over ticks."""
+    """Base of OP and VP: encoder, GRU, velocity head, and unrolling over ticks."""
 
     def __init__(self, cfg: ModelCfg, inputs: int) -> None:
         super().__init__()
@@ -119,9 +124,10 @@ class Estimator(nn.Module):
         """Encode the inputs of a tick to [B, 64].
 
         Args:
-            history: o^{H1}, [B, H1, 45]. depth: d^{H2}, [B, >=H2, 48, 64]; only VP sees it.
-            has_image: [B] or [B, 1], 1 where `depth` holds an image of this tick, 0 where it was
-                withheld and VP is to go on from its memory.
+            history: Proprioceptions o^{H1}, [B, H1, 45].
+            depth: Depth images d^{H2} in [0, 1], [B, >=H2, 48, 64]; OP does not read them.
+            has_image: 1 where `depth` holds an image of this tick, 0 where it was withheld and VP
+                continues from its memory, [B] or [B, 1].
         """
         raise NotImplementedError
 
@@ -129,31 +135,40 @@ class Estimator(nn.Module):
         """Apply the heads to latents [..., 64], h_b or h_v.
 
         Returns:
-            What there is a head for: `velocity` [..., 3] m/s, base frame; `feet_height` [..., 4] m,
-            order of interface.LEGS; `height_map` [..., 132] m below the nominal base height,
-            interface.HEIGHT_MAP_X by HEIGHT_MAP_Y; `far_map` [..., 30] likewise, of FAR_MAP_X by
-            FAR_MAP_Y.
+            Predictions by name, one for each head: `velocity` [..., 3] m/s in the base frame;
+            `feet_height` [..., 4] m in the order of interface.LEGS; `height_map` [..., 132] m below
+            the nominal base height, interface.HEIGHT_MAP_X by HEIGHT_MAP_Y; `far_map` [..., 30]
+            likewise, FAR_MAP_X by FAR_MAP_Y.
         """
-        return {} if self.velocity_head is None else {"velocity": self.velocity_head(latent)}
+        if self.velocity_head is None:
+            return {}
+        return {"velocity": self.velocity_head(latent)}
 
     def forward(self, history: Tensor, depth: Tensor, has_image: Tensor, latent: Tensor) -> Tensor:
-        """One 10 Hz tick: previous latent [B, 64] to the next one."""
+        """Advance latents [B, 64] by one 10 Hz tick; other arguments are those of `features`."""
         return self.gru(self.features(history, depth, has_image), latent)
 
     def unroll(
         self, history: Tensor, depth: Tensor, has_image: Tensor, latent: Tensor, fresh: Tensor
     ) -> Tensor:
-        """Replay T ticks with gradients through time; returns latents [T, B, 64].
+        """Replay T ticks, with gradients through time.
 
         Args:
-            history: [T, B, H1, 45]. depth: [T, B, H2, 48, 64]. has_image: [T, B].
-            latent: [B, 64] before the first tick.
-            fresh: [T, B] bool, true where an episode began since the previous tick, so that its
-                memory starts from zero.
+            history: Proprioceptions o^{H1}, [T, B, H1, 45].
+            depth: Depth images in [0, 1], [T, B, H2, 48, 64].
+            has_image: 1 where a tick had an image, [T, B].
+            latent: Latents before the first tick, [B, 64].
+            fresh: True where an episode began since the previous tick, [T, B] bool; its memory
+                starts from zero.
+
+        Returns:
+            Latents after each tick, [T, B, 64].
         """
         ticks, batch = fresh.shape
-        inputs = (values.flatten(0, 1) for values in (history, depth, has_image))
-        features = self.features(*inputs).unflatten(0, (ticks, batch))
+        # Encode all ticks in one batch; only the GRU needs them in order.
+        features = self.features(
+            history.flatten(0, 1), depth.flatten(0, 1), has_image.flatten(0, 1)
+        ).unflatten(0, (ticks, batch))
         latents = []
         for feature, is_fresh in zip(features, fresh, strict=True):
             latent = self.gru(feature, latent * ~is_fresh.unsqueeze(-1))
@@ -162,7 +177,7 @@ class Estimator(nn.Module):
 
 
 class OPEstimator(Estimator):
-    """Proprioception only: never sees depth."""
+    """Estimator from proprioception alone."""
 
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__(cfg, inputs=1)
@@ -173,51 +188,66 @@ class OPEstimator(Estimator):
 
 
 class VPEstimator(Estimator):
-    """Vision and proprioception: also predicts feet height h_f and the 2.5D height map m_t."""
+    """Estimator from vision and proprioception.
+
+    It also predicts the heights h_f of the feet and the 2.5D height map m_t.
+    """
 
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__(cfg, inputs=2)
         self.depth = DepthEmbedding(cfg.frames)
-        self.feet_height_head = nn.Linear(LATENT, NUM_FEET) if cfg.predict_feet_height else None
-        self.height_map_head = (
-            mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if cfg.predict_height_map else None
-        )
-        far = cfg.predict_far_map
-        self.far_map_head = mlp((LATENT, LATENT, FAR_MAP_SIZE)) if far else None
-        judged = cfg.predict_map_error and cfg.predict_height_map
-        self.map_error_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE)) if judged else None
-        if self.map_error_head is not None:
+        self.feet_height_head = None
+        self.height_map_head = None
+        self.far_map_head = None
+        self.map_error_head = None
+        if cfg.predict_feet_height:
+            self.feet_height_head = nn.Linear(LATENT, NUM_FEET)
+        if cfg.predict_height_map:
+            self.height_map_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE))
+        if cfg.predict_far_map:
+            self.far_map_head = mlp((LATENT, LATENT, FAR_MAP_SIZE))
+        if cfg.predict_map_error and cfg.predict_height_map:
+            self.map_error_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE))
             nn.init.constant_(self.map_error_head[-1].bias, FIRST_LOG_VARIANCE)  # type: ignore[arg-type]
 
     def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
-        """Encode a tick; where an image was withheld, its embedding is zero."""
+        """Encode the inputs of a tick to [B, 64]; a withheld image has an embedding of zero."""
         embedding = self.depth(depth[:, : self.frames])
         embedding = embedding * has_image.reshape(-1, 1).to(embedding.dtype)
         return self.encoder([self.proprioception(history), embedding])
 
     def predict(self, latent: Tensor) -> dict[str, Tensor]:
-        """Apply the heads to h_v [..., 64]; what `Estimator.predict` lists, as far as trained."""
-        estimate = super().predict(latent)
+        """Apply the heads to latents h_v [..., 64]; see `Estimator.predict`."""
+        predictions = super().predict(latent)
         if self.feet_height_head is not None:
-            estimate["feet_height"] = self.feet_height_head(latent)
+            predictions["feet_height"] = self.feet_height_head(latent)
         if self.height_map_head is not None:
-            estimate["height_map"] = self.height_map_head(latent)
+            predictions["height_map"] = self.height_map_head(latent)
         if self.far_map_head is not None:
-            estimate["far_map"] = self.far_map_head(latent)
-        return estimate
+            predictions["far_map"] = self.far_map_head(latent)
+        return predictions
 
     def map_log_variance(self, latent: Tensor) -> Tensor:
-        """Logarithm of the variance of the height map's error, m^2, from h_v [..., 64].
+        """Predict the log variance of the height map's error from latents h_v [..., 64].
+
+        The error grows as VP's memory of the ground gets old. No gradient reaches the latent, which
+        is to hold the ground and not the reliability of its own prediction.
 
         Returns:
-            [..., 132]. It grows as memory goes stale. No gradient reaches the latent: VP remembers
-            the ground, not how to judge itself.
+            Logarithm of the variance in m^2, [..., 132].
         """
         assert self.map_error_head is not None
         return self.map_error_head(latent.detach())
 
     def map_error(self, latent: Tensor) -> Tensor:
-        """Root mean square of the error to expect of the map ahead, [N] m, from h_v [N, 64]."""
+        """Predict the root mean square error of the map ahead of the robot.
+
+        Args:
+            latent: Latents h_v, [N, 64].
+
+        Returns:
+            Error in m, [N], over the map's points at x > 0.
+        """
         variance = self.map_log_variance(latent).exp().unflatten(-1, (len(HEIGHT_MAP_X), -1))
-        ahead = variance[:, [i for i, x in enumerate(HEIGHT_MAP_X) if x > 0.0]]
-        return ahead.mean((-2, -1)).sqrt()
+        rows_ahead = [row for row, x in enumerate(HEIGHT_MAP_X) if x > 0.0]
+        return variance[:, rows_ahead].mean((-2, -1)).sqrt()

@@ -1,4 +1,4 @@
-"""What the estimators remember of each robot between ticks, batched over environments."""
+"""Memory of the estimators between ticks, batched over environments."""
 
 from collections.abc import Callable
 
@@ -12,10 +12,10 @@ from renet.models.config import ModelCfg
 class EstimatorMemory:
     """Proprioception history, last two depth images and both GRU states of N robots.
 
-    Both estimators always run, whichever the actor listens to, so that a switch finds a warm
-    state. After a reset latents are zero until the next 10 Hz tick, the history is filled with the
-    first proprioception and both frames with the first image. An image may be withheld: VP then
-    goes on from its memory, and the next one fills both frames.
+    Both estimators always run, whichever the actor reads, so that a switch finds states that are
+    up to date. After a reset the latents are zero until the next 10 Hz tick; the first
+    proprioception fills the history, and the first image fills both frames. If an image is
+    withheld, VP continues from its memory, and the next image fills both frames.
     """
 
     def __init__(self, cfg: ModelCfg, num_envs: int, device: str | torch.device) -> None:
@@ -42,22 +42,25 @@ class EstimatorMemory:
         self.fresh |= done
 
     def push(self, proprioception: Tensor) -> None:
-        """Append o_t [N, 45]; called every control step."""
+        """Append o_t [N, 45]; call this in every control step."""
         shifted = torch.cat((self.history[:, 1:], proprioception.unsqueeze(1)), dim=1)
         filled = proprioception.unsqueeze(1).expand_as(shifted)
         self.history = torch.where(self.blank[:, None, None], filled, shifted)
         self.blank.zero_()
 
     def see(self, depth: Tensor, has_image: Tensor | None = None) -> None:
-        """Take the newest depth image, [N, 48, 64] in [0, 1]; called at a tick, before `tick`.
+        """Store the newest depth images; call this before `tick`.
 
-        `has_image`, [N] bool, is false where it is withheld; nowhere by default.
+        Args:
+            depth: Images, [N, 48, 64] in [0, 1].
+            has_image: False where the image is withheld, [N] bool; by default none is.
         """
         if has_image is None:
             has_image = torch.ones_like(self.fresh)
         depth = depth.to(self.frames.dtype)
-        unpaired = (self.fresh | ~self.has_image)[:, None, None]
-        previous = torch.where(unpaired, depth, self.frames[:, 0])
+        # Without an image at the previous tick, the new one takes its place, too.
+        has_no_previous = (self.fresh | ~self.has_image)[:, None, None]
+        previous = torch.where(has_no_previous, depth, self.frames[:, 0])
         pair = torch.stack((depth, previous), dim=1)
         self.frames = torch.where(has_image[:, None, None, None], pair, self.frames)
         self.has_image = has_image
@@ -65,7 +68,12 @@ class EstimatorMemory:
 
     @torch.no_grad()
     def tick(self, advance: Callable[..., Tensor]) -> None:
-        """Advance both estimators by one 10 Hz step, by `RENet.advance`."""
+        """Advance both estimators by one 10 Hz tick.
+
+        Args:
+            advance: Function that computes the next latents, `RENet.advance`.
+        """
         latents = advance(self.history, self.frames, self.has_image, self.latent_op, self.latent_vp)
-        self.latent_op, self.latent_vp = latents[:, :LATENT], latents[:, LATENT:]
+        self.latent_op = latents[:, :LATENT]
+        self.latent_vp = latents[:, LATENT:]
         self.fresh.zero_()

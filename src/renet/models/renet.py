@@ -1,4 +1,4 @@
-"""All networks of RENet in one module, so that one state dict is one model."""
+"""RENet: all networks in one module with one state dict."""
 
 import torch
 from rsl_rl.modules import EmpiricalNormalization
@@ -34,12 +34,16 @@ class RENet(nn.Module):
         latent_op: Tensor,
         latent_vp: Tensor,
     ) -> Tensor:
-        """Both estimators' latents after a 10 Hz tick, [B, 128], OP's first; `fuse` is eq. 3."""
+        """Compute both estimators' latents after a 10 Hz tick, [B, 128], OP's first.
+
+        Arguments are those of `Estimator.forward`. `fuse` makes the actor's input of the latents.
+        """
         depth = depth.to(history.dtype)
         next_op = self.op(history, depth, has_image, latent_op)
-        return torch.cat((next_op, self.vp(history, depth, has_image, latent_vp)), dim=-1)
+        next_vp = self.vp(history, depth, has_image, latent_vp)
+        return torch.cat((next_op, next_vp), dim=-1)
 
     def supervised_parameters(self) -> list[nn.Parameter]:
-        """Parameters trained by supervision: estimators, HIM, autoencoder."""
+        """List the parameters trained by supervision: those of estimators, HIM and autoencoder."""
         modules = (self.op, self.vp, self.op_him, self.vp_him, self.autoencoder)
         return [p for module in modules if module is not None for p in module.parameters()]

@@ -1,6 +1,6 @@
-"""What servos of MuJoCo lack: targets that come late, and torque that falls with speed.
+"""Delays of targets and torque–speed curves, which MuJoCo's servos lack.
 
-Both change between two physics steps. The native engine does it in the call that takes all steps
+Both act between two physics steps. The native engine applies them in the call that takes all steps
 (`drive` in native/engine.cpp); `Motors.drive` does the same before each step of any engine.
 """
 
@@ -15,7 +15,7 @@ import torch
 from mjlab.sim.sim import Simulation
 from torch import Tensor
 
-IDEAL: dict[str, Any] = {
+NO_MOTORS: dict[str, Any] = {
     "actuators": 0,
     "substeps": 1,
     "kept": 0,
@@ -26,13 +26,13 @@ IDEAL: dict[str, Any] = {
     "limits": None,
     "stride": 0,
 }
-"""The struct Motors of engine.cpp where nothing changes between physics steps."""
+"""Fields of the struct Motors of engine.cpp for motors without delays and torque–speed curves."""
 
 
 class Motors:
-    """Late targets and torque–speed curves of actuators that each drive a hinge, without a gear.
+    """Delays and torque–speed curves of actuators that each drive a hinge, without a gear.
 
-    At first no target is late, and no-load speeds are infinite.
+    Initially delays are zero and no-load speeds infinite.
     """
 
     def __init__(
@@ -44,45 +44,47 @@ class Motors:
         max_lag: int = 0,
         falls_with_speed: bool = False,
     ) -> None:
-        """Set up for N environments of a model.
+        """Allocate delays, no-load speeds and old targets of N environments.
 
         Args:
-            model: of one environment. num_envs: N. device: torch's name of the device.
-            substeps: physics steps from one target to the next.
-            max_lag: largest `lag`, physics steps.
-            falls_with_speed: whether torque depends on `no_load_speed`.
+            model: Model of one environment.
+            num_envs: Number N of environments.
+            device: torch's name of the device.
+            substeps: Physics steps from one target to the next.
+            max_lag: Largest `lag` in physics steps.
+            falls_with_speed: Limit torque by `no_load_speed`.
         """
         shape = (num_envs, model.nu)
         self.lag = torch.zeros(shape, dtype=torch.int32, device=device)
-        """Physics steps by which targets are late, [N, nu]; they may change at any time."""
+        """Delays of targets in physics steps, [N, nu]; they may change at any time."""
         self.no_load_speed = torch.full(shape, math.inf, device=device)
-        """Speed at which a motor has no torque, [N, nu] rad/s. Below, it falls linearly from the
-        limit at rest; a motor that brakes has all of it."""
+        """Speed at which a motor has no torque, [N, nu] rad/s. The largest torque falls linearly
+        from the limit at rest; a motor that brakes has the limit at rest."""
         self.max_lag = max_lag
         self.falls_with_speed = falls_with_speed
         self._substeps = substeps
-        # The newest target first, and as many before it as may still be under way.
-        kept = 1 + math.ceil(max_lag / substeps) if max_lag else 0
-        self._targets = torch.full((num_envs, kept, model.nu), math.nan, device=device)
+        # The newest target, and before it those that a delay may still need.
+        count = 1 + math.ceil(max_lag / substeps) if max_lag else 0
+        self._targets = torch.full((num_envs, count, model.nu), math.nan, device=device)
         dof = model.jnt_dofadr[model.actuator_trnid[:, 0]].astype(np.int32)
         self._dof = torch.as_tensor(dof, device=device)
         self._limits: Tensor | None = None
         self._step = 0
 
     def reset(self, ids: Tensor | slice) -> None:
-        """Forget the targets of some environments: their next one counts as all before it."""
+        """Drop the targets of some environments; the next one takes the place of all old ones."""
         self._targets[ids] = math.nan
 
     def copy_rows(self, source: Tensor) -> None:
-        """Give each environment the delays and speeds of another; source: [N] its number."""
+        """Copy delays and speeds from the environments `source`, [N], one for each."""
         self.lag[:] = self.lag[source]
         self.no_load_speed[:] = self.no_load_speed[source]
 
     def drive(self, sim: Simulation) -> None:
-        """Change controls and torque limits for the next physics step of a simulation.
+        """Set controls and torque limits for the next physics step of a simulation.
 
-        Controls must hold the newest target. `actuator_forcerange` must be a field of each
-        environment's own; its values at the first call are the limits at rest.
+        Controls must hold the newest target. With torque–speed curves, each environment must have
+        its own `actuator_forcerange`; its values at the first call are the limits at rest.
         """
         if self._targets.shape[1]:
             self._delay(sim.data.ctrl)
@@ -91,32 +93,36 @@ class Motors:
         self._step = (self._step + 1) % self._substeps
 
     def _delay(self, ctrl: Any) -> None:
-        """Replace the newest targets, [N, nu], by those that have arrived."""
+        """Replace the newest targets, [N, nu], by those whose delay is over."""
+        # At the beginning of a control step, shift the targets and store the new one.
         if self._step == 0:
             newest = ctrl[:].clone()
-            before = self._targets[:, :-1].clone()
-            first = self._targets[:, :1].isnan()
-            self._targets[:, 1:] = torch.where(first, newest[:, None], before)
+            older = self._targets[:, :-1].clone()
+            has_none = self._targets[:, :1].isnan()
+            self._targets[:, 1:] = torch.where(has_none, newest[:, None], older)
             self._targets[:, 0] = newest
-        late = (self.lag - self._step).clamp_min(0)
-        age = (late + self._substeps - 1) // self._substeps
+        # A delay in physics steps becomes the age of a target in control steps, rounded up.
+        remaining_lag = (self.lag - self._step).clamp_min(0)
+        age = (remaining_lag + self._substeps - 1) // self._substeps
         ctrl[:] = self._targets.gather(1, age.long()[:, None]).squeeze(1)
 
     def _limit(self, sim: Simulation) -> None:
-        """Let torque fall with speed."""
+        """Limit torque by speed."""
         limits = sim.model.actuator_forcerange
         at_rest = self._limits
         if at_rest is None:
-            at_rest = self._limits = limits[:].clone()
+            at_rest = limits[:].clone()
+            self._limits = at_rest
         speed = sim.data.qvel[:, self._dof.long()]
-        shares = [torque_share(-speed, self.no_load_speed), torque_share(speed, self.no_load_speed)]
-        limits[:] = at_rest * torch.stack(shares, dim=-1)
+        lower_share = torque_share(-speed, self.no_load_speed)
+        upper_share = torque_share(speed, self.no_load_speed)
+        limits[:] = at_rest * torch.stack((lower_share, upper_share), dim=-1)
 
     def fields(self, limits: np.ndarray) -> dict[str, Any]:
-        """The struct Motors of engine.cpp, on a CPU.
+        """Return the fields of the struct Motors of engine.cpp, on a CPU.
 
         Args:
-            limits: lowest and highest torque at rest, [N, nu, 2] or [1, nu, 2] N m, in Warp's
+            limits: Lowest and highest torque at rest, [N, nu, 2] or [1, nu, 2] N m, in Warp's
                 memory.
         """
         return {
@@ -133,8 +139,10 @@ class Motors:
 
 
 def torque_share(speed: Tensor, no_load_speed: Tensor) -> Tensor:
-    """Share of its torque at rest that a motor has, 0 to 1.
+    """Compute a motor's largest torque as a share of that at rest, from 0 to 1.
 
-    `speed` counts in the torque's direction.
+    Args:
+        speed: Speed in the direction of the torque, rad/s.
+        no_load_speed: Speed at which the motor has no torque, rad/s.
     """
     return (1.0 - speed / no_load_speed).clamp(0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Contacts and constraints that overflow MuJoCo Warp's buffers, so that robots fall through."""
+"""Overflow of MuJoCo Warp's buffers, after which robots fall through the ground."""
 
 import warnings
 from typing import Any
@@ -11,26 +11,31 @@ BUFFERS = {
     "contacts": (OverflowType.BROADPHASE | OverflowType.NARROWPHASE, "nconmax"),
     "constraints": (OverflowType.NEFC | OverflowType.NJMAX_NNZ, "njmax"),
 }
-"""The engine's marks of each kind of overflow, and the setting of SimulationCfg to raise."""
+"""Flags of the engine for each kind of overflow, and the field of SimulationCfg to increase."""
 
 
 class OverflowWatch:
-    """Counts environments whose buffers overflowed, without waiting for the device to look."""
+    """Count of environments whose buffers overflowed; only its report waits for the device."""
 
     def __init__(self, simulation: Any) -> None:
         """Watch an mjlab Simulation that MuJoCo Warp steps."""
-        self._marks = wp.to_torch(simulation.wp_data.overflow)
-        self._seen = torch.zeros_like(self._marks)
+        self._flags = wp.to_torch(simulation.wp_data.overflow)
+        self._collected = torch.zeros_like(self._flags)
 
     def look(self) -> None:
-        """Collect the engine's marks, which it erases when it resets an environment."""
-        self._seen |= self._marks
+        """Collect the engine's flags, which it clears when it resets an environment."""
+        self._collected |= self._flags
 
     def report(self) -> dict[str, float]:
-        """Environments that overflowed since the last report, by buffer; warns if there are any."""
-        masks = torch.tensor([int(m) for m, _ in BUFFERS.values()], device=self._seen.device)
-        counts = ((self._seen.unsqueeze(-1) & masks) != 0).sum(0).tolist()
-        self._seen.zero_()
+        """Count the environments that overflowed since the last report, by buffer.
+
+        This warns if there are any.
+        """
+        masks = torch.tensor(
+            [int(flags) for flags, _ in BUFFERS.values()], device=self._collected.device
+        )
+        counts = ((self._collected.unsqueeze(-1) & masks) != 0).sum(0).tolist()
+        self._collected.zero_()
         for (name, (_, setting)), count in zip(BUFFERS.items(), counts, strict=True):
             if count:
                 warnings.warn(

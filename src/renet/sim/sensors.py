@@ -1,4 +1,4 @@
-"""Sensors of the true terrain around a robot, for critics and as estimators' targets."""
+"""Sensors of the true terrain around a robot, for critics and as targets of estimators."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from renet.sim.depth.ray_sensor import RaySensor
 
 @dataclass
 class HeightMapCfg(SensorCfg):
-    """The 2.5D map m_t on a yaw-aligned grid around the base."""
+    """2.5D height map m_t on a yaw-aligned grid around the base."""
 
     body: str = "robot/trunk"
+    """Body around which the map is."""
     x: tuple[float, ...] = HEIGHT_MAP_X
+    """Positions of the grid's points, forwards, m."""
     y: tuple[float, ...] = HEIGHT_MAP_Y
+    """Positions of the grid's points, to the left, m."""
     base_height: float = MAP_HEIGHT
-    """Height of the base above the terrain that reads as zero, m."""
+    """Height of the base above the terrain at which the map is zero, m."""
     limit: float = 1.0
-    """Values are clipped to plus or minus this, m."""
+    """Largest absolute value, to which values are clipped, m."""
 
     def build(self) -> HeightMap:
         """Instantiate the sensor."""
@@ -31,16 +34,16 @@ class HeightMapCfg(SensorCfg):
 
 @dataclass
 class FeetHeightCfg(SensorCfg):
-    """Feet height h_f, each foot's mean clearance over a 5 x 5 cm patch (RENet, Method A)."""
+    """Feet heights h_f: mean clearance of each foot over a patch of 5 x 5 cm (RENet, Method A)."""
 
     sites: tuple[str, ...] = tuple(f"robot/{leg}" for leg in LEGS)
-    """Sites in the middle of each foot."""
+    """Sites at the centres of the feet."""
     radius: float = 0.023
     """Radius of a foot, m (Go1)."""
     patch: float = 0.05
-    """Side of the square under each foot, m (paper), scanned at 3 x 3 points."""
+    """Side of the square under each foot, m (paper); it is scanned at 3 x 3 points."""
     limits: tuple[float, float] = (-0.2, 1.0)
-    """Values are clipped to this range, m."""
+    """Smallest and largest value, to which values are clipped, m."""
 
     def build(self) -> FeetHeight:
         """Instantiate the sensor."""
@@ -48,23 +51,29 @@ class FeetHeightCfg(SensorCfg):
 
 
 class HeightMap(RaySensor):
-    """`data` is [N, len(x) * len(y)]: base over terrain less `base_height`, m; y varies fastest."""
+    """Sensor of the height map.
+
+    `data` is the height of the base above the terrain, less `base_height`, at each point of the
+    grid, [N, len(x) * len(y)] m; y varies fastest.
+    """
 
     def initialize(self, mj_model, model, data, device) -> None:
         """Find the body and the terrain; raises KeyError for an unknown body."""
         self._body = mj_model.body(self.cfg.body).id
         super().initialize(mj_model, model, data, device)
-        x, y = (torch.tensor(axis, device=device) for axis in (self.cfg.x, self.cfg.y))
+        x = torch.tensor(self.cfg.x, device=device)
+        y = torch.tensor(self.cfg.y, device=device)
         self._grid = torch.cartesian_prod(x, y)
 
     def _compute_data(self) -> Tensor:
-        pose = self._data.xpos[:, self._body], self._data.xmat[:, self._body]
-        over = self._scanner.clearance(*pose, self._grid) - self.cfg.base_height
-        return over.clamp_(-self.cfg.limit, self.cfg.limit)
+        position = self._data.xpos[:, self._body]
+        rotation = self._data.xmat[:, self._body]
+        height = self._scanner.clearance(position, rotation, self._grid) - self.cfg.base_height
+        return height.clamp_(-self.cfg.limit, self.cfg.limit)
 
 
 class FeetHeight(RaySensor):
-    """`data` is [N, feet]: mean height of each foot above the terrain under it, m."""
+    """Sensor of the feet's heights; `data` is the mean clearance of each foot, [N, feet] m."""
 
     def initialize(self, mj_model, model, data, device) -> None:
         """Find the sites and the terrain; raises KeyError for an unknown site."""
@@ -76,5 +85,6 @@ class FeetHeight(RaySensor):
 
     def _compute_data(self) -> Tensor:
         feet = self._data.site_xpos[:, self._sites]
-        over = self._scanner.clearance(feet.flatten(0, 1), None, self._patch)
-        return (over.mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits).view(feet.shape[:2])
+        clearance = self._scanner.clearance(feet.flatten(0, 1), None, self._patch)
+        height = (clearance.mean(-1) - self.cfg.radius).clamp_(*self.cfg.limits)
+        return height.view(feet.shape[:2])

@@ -1,4 +1,4 @@
-"""A thread pool for work that releases the GIL (Warp and MuJoCo on the CPU)."""
+"""Thread pool for work that releases the GIL (Warp and MuJoCo on the CPU)."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -8,31 +8,33 @@ from contextlib import contextmanager
 import torch
 
 THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+"""Number of CPUs that this process may use."""
 
 _pool = ThreadPoolExecutor(THREADS, thread_name_prefix="renet")
 
 
 def on_all_threads(work: Callable[[], None]) -> None:
-    """Call `work` on up to `THREADS` threads, among them the calling one; raises its exceptions.
+    """Call a function on up to `THREADS` threads, among them the calling one.
 
-    The calls share the work among themselves. A thread that wakes after the first call has finished
-    is not used.
+    The calls must divide the work among themselves. A thread that wakes after the first call has
+    finished is not used. Exceptions of any call are raised.
     """
-    others = [_pool.submit(work) for _ in range(THREADS - 1)]
+    futures = [_pool.submit(work) for _ in range(THREADS - 1)]
     try:
         work()
     finally:
-        wait([other for other in others if not other.cancel()])
-    for other in others:
-        if not other.cancelled():
-            other.result()
+        # All work is done: calls that have not begun are not needed.
+        wait([future for future in futures if not future.cancel()])
+    for future in futures:
+        if not future.cancelled():
+            future.result()
 
 
 @contextmanager
 def one_torch_thread(device: str | torch.device) -> Iterator[None]:
-    """Let torch use one thread on a CPU: for small tensors, waking a second costs more time.
+    """Context in which torch uses one thread on a CPU: for small tensors a second one is slower.
 
-    This does not change the threads of this module's pool.
+    The threads of this module's pool are not changed.
     """
     threads = torch.get_num_threads()
     if torch.device(device).type != "cpu" or threads == 1:

@@ -1,4 +1,4 @@
-"""What the robot is asked to do, in mjlab's terms; `renet.registry` gives the tasks their ids."""
+"""Tasks for mjlab: scenes, terms of its managers, and robots. `renet.registry` registers them."""
 
 import mjlab  # noqa: F401  Loads renet.registry, which needs this package: see renet.sim.
 

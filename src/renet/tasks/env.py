@@ -1,4 +1,4 @@
-"""mjlab's environment with fused physics steps on the CPU."""
+"""mjlab's environment, with fused physics steps on the CPU."""
 
 import gc
 import math
@@ -21,22 +21,22 @@ from renet.sim.motors import Motors
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.config.go1 import GO1
-from renet.tasks.motors import DrawnMotors, MotorsCfg
+from renet.tasks.motors import MotorsCfg, RandomMotors
 from renet.tasks.robot_cfg import RobotCfg
 
 
 @dataclass(kw_only=True)
 class RenetEnvCfg(ManagerBasedRlEnvCfg):
-    """ManagerBasedRlEnvCfg that knows its robot."""
+    """mjlab's configuration of an environment, with the robot and its motors."""
 
     robot: RobotCfg = GO1
-    """The robot in the scene; `renet export` writes its gains and pose into a bundle."""
+    """Robot in the scene; `renet export` writes its gains and pose into a bundle."""
     motors: MotorsCfg = field(default_factory=MotorsCfg)
-    """How late its joint targets are, and how its torque falls with speed."""
+    """Delays of joint targets, and torque–speed curves."""
 
 
 class RenetEnv(ManagerBasedRlEnv):
-    """mjlab's environment, quicker on the native CPU engine."""
+    """mjlab's environment, which is faster on the native CPU engine."""
 
     cfg: RenetEnvCfg
 
@@ -44,78 +44,91 @@ class RenetEnv(ManagerBasedRlEnv):
         # A copy: this environment's decimation changes below, and callers reuse configurations.
         super().__init__(deepcopy(cfg), device, render_mode)
         self.task_cfg = cfg
-        """The configuration as it was given."""
+        """Configuration as the caller gave it."""
         self.motors = self._make_motors()
-        """Delays and torque–speed curves; None: motors are ideal."""
+        """Delays and torque–speed curves, or None for ideal motors."""
         self._substeps = 1
-        # The native engine takes all substeps of a control step in one call, poses included, where
-        # it changes nothing: servos hold their target and nobody looks in between.
-        if hasattr(self.sim, "step_n") and not _looks_at_substeps(self.cfg):
-            self._substeps, self.cfg.decimation = self.cfg.decimation, 1
+        # The native engine takes all physics steps of a control step in one call. That gives the
+        # same result if servos hold their target, and no term reads the states in between.
+        if hasattr(self.sim, "step_n") and not _reads_substeps(self.cfg):
+            self._substeps = self.cfg.decimation
+            self.cfg.decimation = 1
             self.sim.step = partial(self.sim.step_n, self._substeps)  # type: ignore[method-assign]
             self.sim.forward = self.sim.forward_written  # type: ignore[method-assign]
             if self.motors is not None:
                 self.sim.use_motors(self.motors)
         elif self.motors is not None:
-            self.sim.step = partial(_driven_step, self.sim, self.motors, self.sim.step)
+            self.sim.step = partial(_step_with_motors, self.sim, self.motors, self.sim.step)
 
-    def _make_motors(self) -> DrawnMotors | None:
-        """The motors of the configuration, unless they are ideal."""
+    def _make_motors(self) -> RandomMotors | None:
+        """Build the configured motors; None for ideal ones."""
         cfg = self.cfg.motors
         if cfg.ideal:
             return None
+        # With torque–speed curves each robot needs force limits of its own.
         if cfg.no_load_speed is not None and "actuator_forcerange" not in self.sim.expanded_fields:
             self.sim.expand_model_fields(("actuator_forcerange",))
-        return DrawnMotors(cfg, self.sim, self.cfg.robot, self.num_envs, self.cfg.decimation)
+        return RandomMotors(cfg, self.sim, self.cfg.robot, self.num_envs, self.cfg.decimation)
 
     def _reset_idx(self, env_ids: Tensor | None = None) -> None:
         super()._reset_idx(env_ids)
-        if self.motors is not None:
-            everybody = torch.arange(self.num_envs, device=self.device)
-            self.motors.begin_episodes(everybody if env_ids is None else env_ids)
+        if self.motors is None:
+            return
+        if env_ids is None:
+            env_ids = torch.arange(self.num_envs, device=self.device)
+        self.motors.begin_episodes(env_ids)
 
     @property
     def physics_dt(self) -> float:
-        """Seconds per call of `sim.step`."""
+        """Duration of a call of `sim.step`, s."""
         return self.cfg.sim.mujoco.timestep * getattr(self, "_substeps", 1)
 
     @property
     def step_dt(self) -> float:
-        """Seconds per control step."""
+        """Duration of a control step, s."""
         return self.physics_dt * self.cfg.decimation
 
     def step(self, action: Tensor):
-        """Take a control step; torch's operations are too small for more than one thread."""
+        """Take a control step, on one thread of torch: its operations are too small for more."""
         with one_torch_thread(self.device):
             return super().step(action)
 
 
-def _driven_step(sim: Simulation, motors: Motors, step: Callable[[], None]) -> None:
+def _step_with_motors(sim: Simulation, motors: Motors, step: Callable[[], None]) -> None:
     """Take a physics step with motors that are not ideal."""
     motors.drive(sim)
     step()
 
 
-def _looks_at_substeps(cfg: RenetEnvCfg) -> bool:
-    """Whether an actuator delay, an air-time sensor or a metric runs at the physics rate."""
-    bodies = [e.articulation for e in cfg.scene.entities.values() if e.articulation]
-    servos = [actuator for body in bodies for actuator in body.actuators]
-    contacts = [s for s in cfg.scene.sensors if isinstance(s, ContactSensorCfg)]
-    return (
-        any(not isinstance(s, BuiltinPositionActuatorCfg) or s.delay_max_lag for s in servos)
-        or any(sensor.track_air_time or sensor.history_length for sensor in contacts)
-        or any(metric.per_substep for metric in cfg.metrics.values())
-    )
+def _reads_substeps(cfg: RenetEnvCfg) -> bool:
+    """Return True if an actuator, a sensor or a metric of a task works at the physics rate."""
+    for entity in cfg.scene.entities.values():
+        if not entity.articulation:
+            continue
+        for actuator in entity.articulation.actuators:
+            if not isinstance(actuator, BuiltinPositionActuatorCfg) or actuator.delay_max_lag:
+                return True
+    for sensor in cfg.scene.sensors:
+        is_contact = isinstance(sensor, ContactSensorCfg)
+        if is_contact and (sensor.track_air_time or sensor.history_length):
+            return True
+    return any(metric.per_substep for metric in cfg.metrics.values())
 
 
 def make_env(
     task: str | RenetEnvCfg, num_envs: int, device: str = "cpu", seed: int = 1, engine: str = "auto"
 ) -> RenetEnv:
-    """Build a task's environment; raises RenetError for an unknown task or engine.
+    """Build a task's environment.
 
     Args:
-        task: task id, or a configuration, which is left as it is.
+        task: Id of a task, or a configuration, which is not changed.
+        num_envs: Number of robots.
+        device: Device of the simulation.
+        seed: Seed of all random numbers.
         engine: auto, native or warp (see renet.sim.native.engine).
+
+    Raises:
+        RenetError: The task or engine is unknown, or a setting is out of range.
     """
     if num_envs < 1:
         raise RenetError(f"the number of environments must be at least 1, got {num_envs}")
@@ -125,19 +138,26 @@ def make_env(
             raise RenetError(f"the weight of the reward {name} is {term.weight}: give a number")
     cfg.scene.num_envs = num_envs
     cfg.seed = seed
-    gc.collect()  # Earlier environments: few objects with much memory that refer to one another.
+    # Free earlier environments, which are few objects with much memory and circular references.
+    gc.collect()
     with use_engine(engine, device):
         return RenetEnv(cfg, device)
 
 
 def env_cfg(task: str, play: bool = False) -> RenetEnvCfg:
-    """A copy of a registered RENet task's configuration; raises RenetError if there is none.
+    """Return a copy of a registered task's configuration.
 
-    With `play` it is the evaluation variant, without noise, pushes and curriculum.
+    Args:
+        task: Id of the task.
+        play: Return the variant for evaluation, without noise, pushes and curriculum.
+
+    Raises:
+        RenetError: There is no such task, or it is not one of RENet's.
     """
-    import mjlab.tasks  # noqa: F401  registers every plug-in's tasks
+    import mjlab.tasks  # noqa: F401  Registers the tasks of all plug-ins.
 
-    import_module("renet.registry")  # As its entry point does, which a bare source tree lacks.
+    # The entry point does the same, which a source tree without installation lacks.
+    import_module("renet.registry")
     if task not in list_tasks():
         raise unknown_name("task", task, [n for n in list_tasks() if n.startswith("Renet")])
     cfg = load_env_cfg(task, play)

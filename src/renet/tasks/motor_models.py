@@ -1,4 +1,4 @@
-"""Motors that are not MuJoCo's servos in a task: measured ones, and a network of real ones."""
+"""Motors of a task in place of MuJoCo's servos: measured ones, or a network of real ones."""
 
 import re
 from dataclasses import dataclass, replace
@@ -22,72 +22,83 @@ from renet.tasks.env import RenetEnvCfg
 
 @dataclass(kw_only=True)
 class NetworkActuatorCfg(IdealPdActuatorCfg):
-    """Motors whose torque a network tells, at every physics step."""
+    """Motors whose torque a network predicts at every physics step."""
 
     network: MotorNetwork
-    """With NumPy arrays."""
+    """The network, with NumPy arrays."""
 
     def build(
         self, entity: Entity, target_ids: list[int], target_names: list[str]
     ) -> "NetworkActuator":
-        """Make the motors of some joints."""
+        """Build the motors of some joints."""
         return NetworkActuator(self, entity, target_ids, target_names)
 
 
 class NetworkActuator(IdealPdActuator[NetworkActuatorCfg]):
-    """Torque motors driven by a network; gains and limits are randomised as a servo's are."""
+    """Torque motors driven by a network, whose gains and limits are randomised like a servo's."""
 
     def initialize(
         self, mj_model: mujoco.MjModel, model: mjwarp.Model, data: mjwarp.Data, device: str
     ) -> None:
-        """Set up for all robots; mjlab calls it once the model is compiled."""
+        """Allocate the samples of all robots; mjlab calls this after it compiled the model."""
         super().initialize(mj_model, model, data, device)
         self._network = self.cfg.network.converted(lambda array: torch.tensor(array, device=device))
         shape = (data.nworld, len(self.target_names), SAMPLES)
-        # As the network sees them, newest first.
+        # The network's inputs, newest first.
         self._errors = torch.zeros(shape, device=device)
         self._velocities = torch.zeros(shape, device=device)
-        self._newest = self._errors, self._velocities
+        # The inputs after the next physics step.
+        self._next_errors = self._errors
+        self._next_velocities = self._velocities
 
     def compute(self, cmd: ActuatorCmd) -> Tensor:
-        """Torques, [N, J] N m. The samples count as taken once the physics step is (`update`)."""
+        """Compute torques, [N, J] N m. `update` keeps the samples once the step is taken."""
         network = self._network
         assert self.stiffness is not None
         assert self.damping is not None
         assert self.force_limit is not None
         error = network.scale_error(cmd.pos - cmd.position_target, self.stiffness)
         velocity = network.scale_velocity(cmd.vel, self.damping)
-        self._newest = _push(self._errors, error), _push(self._velocities, velocity)
-        torque = network.torque(*self._newest)
+        self._next_errors = _push(self._errors, error)
+        self._next_velocities = _push(self._velocities, velocity)
+        torque = network.torque(self._next_errors, self._next_velocities)
         return torque.clamp(-self.force_limit, self.force_limit)
 
     def update(self, dt: float) -> None:
         """Keep the samples of the physics step that was taken."""
-        self._errors, self._velocities = self._newest
+        self._errors = self._next_errors
+        self._velocities = self._next_velocities
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Forget the samples of some robots."""
+        """Set the samples of some robots to zero; None means all robots."""
         super().reset(env_ids)
-        everybody = slice(None) if env_ids is None else env_ids
-        self._errors[everybody] = 0.0
-        self._velocities[everybody] = 0.0
+        rows = slice(None) if env_ids is None else env_ids
+        self._errors[rows] = 0.0
+        self._velocities[rows] = 0.0
 
     def copy_rows(self, source: Tensor) -> None:
-        """Give each robot the gains and limits of another; source: [N] its number."""
+        """Copy gains and limits from the robots `source`, [N], one for each robot."""
         for values in (self.stiffness, self.damping, self.force_limit):
             assert values is not None
             values[:] = values[source]
 
 
 def _push(samples: Tensor, newest: Tensor) -> Tensor:
-    """Samples [N, J, S] with a new one [N, J] in front, and without the oldest."""
+    """Put a new sample [N, J] in front of samples [N, J, S], and drop the oldest."""
     return torch.cat((newest.unsqueeze(-1), samples[..., :-1]), dim=-1)
 
 
 def use_motors(cfg: RenetEnvCfg, motors: MotorModel | None) -> None:
-    """Give a task's robot other motors, in place; None leaves those that it has.
+    """Replace the motors of a task's robot, in place.
 
-    Delays that its actuators already have stay, and those of measured motors are added.
+    Delays of the actuators stay; those of measured motors are added.
+
+    Args:
+        cfg: The task.
+        motors: Measured motors or a network; None changes nothing.
+
+    Raises:
+        RenetError: The task has delays or torque–speed curves, which a network contains already.
     """
     if motors is None:
         return
@@ -95,7 +106,7 @@ def use_motors(cfg: RenetEnvCfg, motors: MotorModel | None) -> None:
     assert articulation is not None
     if isinstance(motors, MotorFit):
         articulation.actuators = tuple(
-            _measured(articulation.actuators, joint, motors) for joint in JOINTS
+            _measured_servo(articulation.actuators, joint, motors) for joint in JOINTS
         )
         delay = motors.array("delay").tolist()
         cfg.motors.joint_delay = dict(zip(JOINTS, delay, strict=True))
@@ -103,14 +114,15 @@ def use_motors(cfg: RenetEnvCfg, motors: MotorModel | None) -> None:
         if not cfg.motors.ideal:
             raise RenetError("a network of motors takes neither delays nor torque–speed curves")
         articulation.actuators = tuple(
-            NetworkActuatorCfg(network=motors, **_shared(servo)) for servo in articulation.actuators
+            NetworkActuatorCfg(network=motors, **_servo_fields(servo))
+            for servo in articulation.actuators
         )
 
 
-def _measured(
+def _measured_servo(
     actuators: tuple[ActuatorCfg, ...], joint: str, fit: MotorFit
 ) -> BuiltinPositionActuatorCfg:
-    """The servo of a joint among a robot's actuators, with measured inertia and friction."""
+    """Return the servo of a joint, of a robot's actuators, with measured inertia and friction."""
     servo = next(
         actuator
         for actuator in actuators
@@ -127,7 +139,7 @@ def _measured(
     )
 
 
-def _shared(servo: ActuatorCfg) -> dict[str, Any]:
-    """The fields of a servo that torque motors have, too."""
+def _servo_fields(servo: ActuatorCfg) -> dict[str, Any]:
+    """Return the fields of a servo that torque motors have, too."""
     assert isinstance(servo, BuiltinPositionActuatorCfg)
     return {name: value for name, value in vars(servo).items() if value is not None}

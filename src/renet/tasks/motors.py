@@ -1,4 +1,4 @@
-"""Late joint targets and torque–speed curves of a task's robots, drawn as a real robot has them."""
+"""Random delays of joint targets and torque–speed curves of a task's robots."""
 
 from __future__ import annotations
 
@@ -18,30 +18,31 @@ from renet.tasks.robot_cfg import RobotCfg
 
 @dataclass(kw_only=True)
 class MotorsCfg:
-    """What servos do between physics steps; by default nothing."""
+    """Delays and torque–speed curves of the motors; by default there are none."""
 
     target_delay: tuple[float, float] = (0.0, 0.0)
     """Shortest and longest delay of joint targets, s, in whole physics steps. Each robot draws one
-    for all its joints at the beginning of an episode, and keeps it until the end."""
+    delay for all its joints at the beginning of each episode."""
     joint_delay: Mapping[str, float] = field(default_factory=dict)
-    """Delay of single joints, by name, s, beside the one above."""
+    """Additional delays of single joints by name, s."""
     no_load_speed: tuple[float, float] | None = None
     """Smallest and largest no-load speed, in multiples of the motors' largest velocity. Each robot
-    draws one multiple for all its motors, once. Torque falls linearly from its limit at rest to
-    zero at that speed; None: it does not fall."""
+    draws one multiple for all its motors, once. The largest torque falls linearly from its limit at
+    rest to zero at that speed; with None it is constant."""
 
     @property
     def ideal(self) -> bool:
-        """Whether targets come at once and torque does not fall."""
+        """True for motors without delays and torque–speed curves."""
         return self.max_lag == 0 and self.no_load_speed is None
 
     @property
     def max_lag(self) -> int:
-        """Largest delay, physics steps."""
-        return steps(self.target_delay[1]) + steps(max(self.joint_delay.values(), default=0.0))
+        """Largest delay in physics steps."""
+        joint_delay = max(self.joint_delay.values(), default=0.0)
+        return steps(self.target_delay[1]) + steps(joint_delay)
 
     def check(self) -> None:
-        """Raise RenetError for ranges that nothing can be drawn from."""
+        """Raise RenetError for ranges that are empty or infinite."""
         low, high = self.target_delay
         if not 0.0 <= low <= high < math.inf:
             raise RenetError(f"motors.target_delay must rise from at least 0 s, got {low}, {high}")
@@ -52,25 +53,31 @@ class MotorsCfg:
 
 
 def steps(seconds: float) -> int:
-    """Whole physics steps nearest to a time."""
+    """Return the number of physics steps nearest to a time in s."""
     return round(seconds / PHYSICS_DT)
 
 
-class DrawnMotors(Motors):
-    """Motors with the delays and speeds of a configuration."""
+class RandomMotors(Motors):
+    """Motors with random delays and no-load speeds."""
 
     def __init__(
         self, cfg: MotorsCfg, sim: Simulation, robot: RobotCfg, num_envs: int, substeps: int
     ) -> None:
-        """Draw the speeds of all robots; delays are drawn by `begin_episodes`.
+        """Draw the no-load speeds of all robots; `begin_episodes` draws the delays.
 
         Args:
-            cfg: what to draw; raises RenetError if it cannot be. robot: in the scene of `sim`.
-            num_envs: number of robots. substeps: physics steps of a control step.
+            cfg: Ranges of delays and speeds.
+            sim: Simulation with the robots.
+            robot: Configuration of the robots in it.
+            num_envs: Number of robots.
+            substeps: Physics steps of a control step.
+
+        Raises:
+            RenetError: A range is empty or infinite.
         """
         cfg.check()
-        falls = cfg.no_load_speed is not None
-        super().__init__(sim.mj_model, num_envs, sim.device, substeps, cfg.max_lag, falls)
+        has_curve = cfg.no_load_speed is not None
+        super().__init__(sim.mj_model, num_envs, sim.device, substeps, cfg.max_lag, has_curve)
         self._cfg = cfg
         model = sim.mj_model
         names = [model.actuator(number).name.split("/")[-1] for number in range(model.nu)]
@@ -89,8 +96,10 @@ class DrawnMotors(Motors):
             self.no_load_speed[ids] = multiple * self._velocity
 
     def begin_episodes(self, ids: Tensor) -> None:
-        """Draw the delays of some robots, and forget their targets."""
-        low, high = (steps(delay) for delay in self._cfg.target_delay)
+        """Draw the delays of some robots, and drop their old targets."""
+        shortest, longest = self._cfg.target_delay
+        low = steps(shortest)
+        high = steps(longest)
         lag = torch.randint(low, high + 1, (len(ids), 1), dtype=torch.int32, device=ids.device)
         self.lag[ids] = lag + self._joint_lag
         self.reset(ids)

@@ -1,4 +1,4 @@
-"""Environment configurations of the paper's tasks, which training/recipe.py makes ours."""
+"""Environment configurations of the paper's tasks, which training/recipe.py adapts."""
 
 import math
 from collections.abc import Callable
@@ -51,24 +51,25 @@ def randomize(
     camera_position: float = 0.0,
     camera_angle: float = 0.0,
 ) -> None:
-    """Add randomisation to a task's configuration, in place; what is zero or None stays as it is.
+    """Add randomisation to a task's configuration, in place. Zero or None changes nothing.
 
-    Robots draw what concerns their bodies once, and the camera's errors and the delay of actions
-    for each episode (delays that change with every step blur targets rather than delay them).
+    Robots draw parameters of their bodies once, and the camera's errors and the delay of actions
+    for each episode (delays that change in each step would blur targets rather than delay them).
 
     Args:
-        cfg: the task. motor_strength: largest relative change of each motor's torque limit.
-        damping: smallest and largest multiple of the nominal Kd, whose logarithm is uniform; one
-            for all motors of a robot, instead of the task's own.
-        armature: smallest and largest multiple of the rotors' inertia; one for all of a robot.
-        joint_friction: largest dry friction of each joint beyond the MJCF's, N m.
-        no_load_speed: smallest and largest multiple of the motors' velocity limits at which they
-            have no torque; one for all motors of a robot (see `MotorsCfg`).
-        joint_offset: largest error of joints' zeros, rad, in observations and targets.
-        action_delay: longest delay of joint targets, s, in whole physics steps.
-        camera_delay: largest age of a delivered image, s, in whole control steps.
-        camera_position: largest error of the camera's position along each axis, m.
-        camera_angle: largest error of its pitch and yaw, rad.
+        cfg: The task.
+        motor_strength: Largest relative change of each motor's torque limit.
+        damping: Smallest and largest multiple of the nominal Kd, whose logarithm is uniform. All
+            motors of a robot share it, and it replaces the task's own.
+        armature: Smallest and largest multiple of the rotors' inertia, shared by a robot's motors.
+        joint_friction: Largest dry friction of each joint beyond the MJCF's, N m.
+        no_load_speed: Smallest and largest multiple of the motors' velocity limits at which they
+            have no torque, shared by a robot's motors (see `MotorsCfg`).
+        joint_offset: Largest error of the joints' zeros in observations and targets, rad.
+        action_delay: Longest delay of joint targets, s, in whole physics steps.
+        camera_delay: Largest age of a delivered image, s, in whole control steps.
+        camera_position: Largest error of the camera's position along each axis, m.
+        camera_angle: Largest error of the camera's pitch and yaw, rad.
     """
     motors = SceneEntityCfg("robot", actuator_names=[".*"])
     joints = SceneEntityCfg("robot", joint_names=(".*",))
@@ -110,23 +111,29 @@ def randomize(
 
 
 def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
-    """One plane, any yaw."""
+    """Configure the task on a plane, with goals in all directions.
+
+    Args:
+        play: Return the variant for evaluation (see `renet.tasks.env_cfg`).
+        robot: The robot.
+    """
     cfg = _base_env_cfg(TerrainEntityCfg(terrain_type="plane"), robot)
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
-    command.resampling_time_range, command.later_turn = (4.0, 10.0), math.pi
+    command.resampling_time_range = (4.0, 10.0)
+    command.later_turn = math.pi
     return _play(cfg) if play else cfg
 
 
 def parkour_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
-    """The paper's terrains under a 10-level curriculum."""
+    """Configure the task on the paper's terrains, with a curriculum of 10 levels."""
     return tile_env_cfg(parkour_terrain(), play, robot)
 
 
 def tile_env_cfg(
     terrain: TerrainEntityCfg, play: bool = False, robot: RobotCfg = GO1
 ) -> RenetEnvCfg:
-    """The parkour task on any terrain made of tiles (see terrains.tile_row)."""
+    """Configure the parkour task on any terrain of tiles, such as `terrains.tile_row`."""
     cfg = _base_env_cfg(terrain, robot)
     if terrain.terrain_generator is not None and terrain.terrain_generator.num_rows == 1:
         cfg.scene.spec_fn = _clear_of_terrain
@@ -140,13 +147,17 @@ def tile_env_cfg(
 
 
 def _clear_of_terrain(spec: mujoco.MjSpec) -> None:
-    """Lift the pose that mjlab evaluates before the first reset out of the summit of the stairs."""
+    """Lift the robot's initial pose, which mjlab computes once before the first reset.
+
+    In a single row of tiles it would be inside the summit of stairs.
+    """
     spec.body(f"robot/{TRUNK}").pos[2] = 10.0
 
 
 def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
+    """Configure the parts that the tasks on all terrains share."""
     tilt = {"limit_angle": FALL_TILT}
-    # One set of physics options for both engines, so that policies transfer.
+    # Both engines have the same physics options, so that policies transfer.
     physics = MujocoCfg(timestep=PHYSICS_DT, iterations=20, ls_iterations=20, ccd_iterations=50)
     return RenetEnvCfg(
         robot=robot,
@@ -181,8 +192,8 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
             ),
             "reward_clipped": MetricsTermCfg(func=mdp.reward_clipped),
         },
-        # MuJoCo Warp tries every pair that may touch: to sweep and prune would visit more of them
-        # (tests/sim/test_broadphase.py), for terrain overlaps terrain on any axis.
+        # MuJoCo Warp tests every pair that may touch. Sweep and prune would test more of them,
+        # because terrain overlaps terrain along every axis (tests/sim/test_broadphase.py).
         sim=SimulationCfg(njmax=400, nconmax=60, mujoco=physics),
         viewer=ViewerConfig(
             origin_type=ViewerConfig.OriginType.ASSET_BODY,
@@ -195,18 +206,29 @@ def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
 
 
 def _play(cfg: RenetEnvCfg) -> RenetEnvCfg:
-    """Evaluation variant: true sensors but for the camera, no pushes, all levels at once."""
+    """Turn a task into its variant for evaluation, in place.
+
+    Only the camera has noise, there are no pushes, and robots start on all levels.
+    """
     cfg.observations["proprioception"].enable_corruption = False
     cfg.curriculum = {}
     if cfg.scene.terrain is not None:
         cfg.scene.terrain.max_init_terrain_level = None
-    del cfg.events["push"], cfg.terminations["stalled"]
+    del cfg.events["push"]
+    del cfg.terminations["stalled"]
     return cfg
 
 
 def _observations() -> dict[str, ObservationGroupCfg]:
-    scale = tuple(term.scale for term in PROPRIOCEPTION for _ in range(term.size))
-    noise = tuple(NOISE.get(term.name, 0.0) for term in PROPRIOCEPTION for _ in range(term.size))
+    """Configure the observation groups; each but `privileged` has one term."""
+    # Scale and noise of each number, in the order of the proprioception.
+    scales: list[float] = []
+    half_widths: list[float] = []
+    for term in PROPRIOCEPTION:
+        scales += [term.scale] * term.size
+        half_widths += [NOISE.get(term.name, 0.0)] * term.size
+    scale = tuple(scales)
+    noise = tuple(half_widths)
 
     def proprioception(noisy: bool) -> ObservationGroupCfg:
         term = ObservationTermCfg(
@@ -245,7 +267,7 @@ def _observations() -> dict[str, ObservationGroupCfg]:
 
 
 def _rewards() -> dict[str, RewardTermCfg]:
-    """The paper's, with its scales; mjlab multiplies each by the step's 0.02 s."""
+    """Configure the paper's rewards and scales, which mjlab multiplies by the step of 0.02 s."""
     return {
         "linear_velocity": RewardTermCfg(func=mdp.linear_velocity, weight=1.5),
         "yaw": RewardTermCfg(func=mdp.yaw, weight=0.5),
@@ -264,9 +286,10 @@ def _rewards() -> dict[str, RewardTermCfg]:
 
 
 def _costs(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
-    """Costs of the constrained MDP, by the names of interface.CONSTRAINTS.
+    """Configure the costs of the constrained MDP, named after interface.CONSTRAINTS.
 
-    mjlab has no manager of costs: metrics are evaluated beside rewards and logged, but not summed.
+    They are metrics, which mjlab computes beside rewards and logs, because it has no manager of
+    costs.
     """
     motors = {f".*_{part}_joint": motor for part, motor in robot.motors.items()}
     velocity = {"limits": {joint: 0.8 * motor.velocity for joint, motor in motors.items()}}
@@ -280,6 +303,7 @@ def _costs(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
 
 
 def _events() -> dict[str, EventTermCfg]:
+    """Configure spawning, pushes and the randomisation of the paper."""
     feet = SceneEntityCfg("robot", geom_names=FEET)
     trunk = SceneEntityCfg("robot", body_names=(TRUNK,))
     pose = {"x": (-0.3, 0.3), "y": (-0.3, 0.3), "z": (0.02, 0.04), "yaw": (-math.pi, math.pi)}
@@ -324,5 +348,5 @@ def _events() -> dict[str, EventTermCfg]:
 
 
 def _at_startup(function: Callable[..., None], **params: Any) -> EventTermCfg:
-    """Randomisation that each robot draws once."""
+    """Configure randomisation that each robot draws once."""
     return EventTermCfg(func=function, mode="startup", params=params)

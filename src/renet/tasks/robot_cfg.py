@@ -1,4 +1,4 @@
-"""What the tasks need to know of a robot. The Go1 and the Go2 are in config/."""
+"""Configuration of robots. Those of the Go1 and the Go2 are in config/."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -13,18 +13,19 @@ from renet.errors import RenetError
 from renet.interface import JOINTS, LEGS, MAP_HEIGHT, TRUNK
 from renet.sim.depth.camera import MountCfg
 
-PARTS = ("hip", "thigh", "calf")
-BODIES = (TRUNK, *(f"{leg}_{part}" for leg in LEGS for part in PARTS))
-"""Names of all bodies the tasks look for."""
+LEG_PARTS = ("hip", "thigh", "calf")
+BODIES = (TRUNK, *(f"{leg}_{part}" for leg in LEGS for part in LEG_PARTS))
+"""Names of all bodies that tasks use."""
 FEET = tuple(f"{leg}_foot_collision" for leg in LEGS)
-"""Names of the feet's geoms; a site at each foot's middle is named as its leg."""
+"""Names of the feet's geoms. A site at the centre of each foot has the name of its leg."""
 CALVES = tuple(rf"{leg}_calf_collision\d*" for leg in LEGS)
 """Patterns of the calves' other colliding geoms."""
 ACTION_CLIP = 4.8
-"""Policy units beyond which actions are cut: 1.2 rad of the Go1's joints (Extreme Parkour)."""
+"""Limit to which actions are clipped, in policy units: 1.2 rad of the Go1's joints (Extreme
+Parkour)."""
 
-# Robot geoms touch the terrain (contype 1) but not each other: self-collision costs a third of the
-# physics and a policy inside its joint limits does not need it.
+# The robot's geoms touch the terrain (contype 1) but not each other. Self-collision takes a third
+# of the time of the physics, and a policy inside its joint limits does not need it.
 COLLISION = CollisionCfg(
     geom_names_expr=(r".*_collision\d*",),
     contype=0,
@@ -37,27 +38,27 @@ COLLISION = CollisionCfg(
 
 @dataclass(frozen=True)
 class Motor:
-    """What drives a joint, from the vendor's model."""
+    """Motor of a joint, from the vendor's model."""
 
     torque: float
-    """Limit, N m."""
+    """Largest torque, N m."""
     velocity: float
-    """Limit, rad/s."""
+    """Largest velocity, rad/s."""
     armature: float | None = None
-    """Reflected rotor inertia, kg m^2; None keeps the MJCF's."""
+    """Reflected inertia of the rotor, kg m^2; None keeps the MJCF's."""
 
 
 @dataclass(frozen=True)
 class RobotCfg:
-    """A quadruped of twelve joints."""
+    """Quadruped of twelve joints."""
 
     name: str
-    """As bundles show it."""
+    """Name in bundles."""
     spec: Callable[[], mujoco.MjSpec]
-    """A fresh MJCF in renet's names (see `rename_parts`): bodies `trunk`, `FR_hip`, `FR_thigh`,
-    `FR_calf`, …, the joints of interface.JOINTS in any order, colliding geoms `*_collision*`,
-    feet `FR_foot_collision`, …, with a site `FR`, … in the middle of each; no actuators.
-    All calves have equally many colliding geoms, at least one beside the foot."""
+    """Function that returns a new MJCF in renet's names (see `rename_parts`): bodies `trunk`,
+    `FR_hip`, `FR_thigh`, `FR_calf`, …; the joints of interface.JOINTS in any order; colliding geoms
+    `*_collision*`; feet `FR_foot_collision`, …, with a site `FR`, … at the centre of each; no
+    actuators. All calves have the same number of colliding geoms, at least one beside the foot."""
     height: float
     """Height of the base above flat ground at the start, m."""
     pose: Mapping[str, float]
@@ -65,20 +66,20 @@ class RobotCfg:
     motors: Mapping[str, Motor]
     """Motors of the `hip`, `thigh` and `calf` joints."""
     foot_radius: float
-    """m"""
+    """Radius of the feet, m."""
     camera: MountCfg = field(default_factory=MountCfg)
-    """Where the depth camera sits on the trunk."""
+    """Mount of the depth camera on the trunk."""
     stiffness: float = 40.0
     """Kp of every joint, N m/rad."""
     damping: float = 1.0
     """Kd of every joint, N m s/rad."""
     action_scale: float = 0.25
-    """Radians of joint target per policy unit."""
+    """Change of a joint target per policy unit, rad."""
     map_height: float = MAP_HEIGHT
-    """Height of the base over flat ground that reads as zero in the height map, m."""
+    """Height of the base above flat ground at which the height map is zero, m."""
 
     def entity(self) -> EntityCfg:
-        """A fresh configuration for mjlab."""
+        """Build a new configuration for mjlab."""
         return EntityCfg(
             init_state=EntityCfg.InitialStateCfg(
                 pos=(0.0, 0.0, self.height), joint_pos=dict(self.pose), joint_vel={".*": 0.0}
@@ -92,36 +93,39 @@ class RobotCfg:
         )
 
     def checked_spec(self) -> mujoco.MjSpec:
-        """A fresh MJCF with all that tasks look for; raises RenetError naming what is not there."""
-        if set(self.motors) != set(PARTS):
-            raise RenetError(f"motors must be of {', '.join(PARTS)}, not {', '.join(self.motors)}")
+        """Load the MJCF and check that it has all parts that tasks use.
+
+        Raises:
+            RenetError: A part is missing, which the message names.
+        """
+        if set(self.motors) != set(LEG_PARTS):
+            expected = ", ".join(LEG_PARTS)
+            raise RenetError(f"motors must be of {expected}, not {', '.join(self.motors)}")
         spec = self.spec()
         parts = (spec.body, BODIES), (spec.joint, JOINTS), (spec.geom, FEET), (spec.site, LEGS)
         for lookup, names in parts:
             for name in names:
                 _part(lookup, name)
         demand_joints(spec)
-        if free := [name for name in JOINTS if not _limited(spec.joint(name))]:
+        unlimited = [name for name in JOINTS if not _is_limited(spec.joint(name))]
+        if unlimited:
             raise RenetError(
-                f"the robot's MJCF gives {', '.join(free)} no limits: set the joint's `range` in "
-                "RobotCfg.spec, since position costs and bundles need it"
+                f"the robot's MJCF gives {', '.join(unlimited)} no limits: set the joint's `range` "
+                "in RobotCfg.spec, since position costs and bundles need it"
             )
-        calves = [sum(bool(re.fullmatch(calf, g.name)) for g in spec.geoms) for calf in CALVES]
-        if 0 in calves or len(set(calves)) > 1:
-            counts = ", ".join(f"{leg} {n}" for leg, n in zip(LEGS, calves, strict=True))
-            raise RenetError(
-                f"calves must have equally many colliding geoms beside the foot, not none: {counts}"
-            )
+        _check_calves(spec)
+        # MuJoCo Warp accepts no margins between boxes, of which tiles consist.
         for geom in spec.geoms:
-            geom.margin = 0.0  # MuJoCo Warp refuses any between boxes, which tiles are made of.
+            geom.margin = 0.0
         return spec
 
     def motor(self, joint: str) -> Motor:
-        """What drives a joint of interface.JOINTS."""
+        """Return the motor of a joint of interface.JOINTS."""
         return self.motors[joint.split("_")[1]]
 
     def _servos(self) -> Iterator[BuiltinPositionActuatorCfg]:
-        """One group for each kind of motor."""
+        """Yield a group of servos for each kind of motor."""
+        # A dictionary removes equal motors and keeps their order.
         for motor in dict.fromkeys(self.motors.values()):
             kinds = [kind for kind, other in self.motors.items() if other == motor]
             yield BuiltinPositionActuatorCfg(
@@ -133,18 +137,32 @@ class RobotCfg:
             )
 
 
+def _check_calves(spec: mujoco.MjSpec) -> None:
+    """Raise RenetError unless all calves have equally many colliding geoms beside the foot."""
+    counts = []
+    for pattern in CALVES:
+        names = [geom.name for geom in spec.geoms if re.fullmatch(pattern, geom.name)]
+        counts.append(len(names))
+    if 0 in counts or len(set(counts)) > 1:
+        text = ", ".join(f"{leg} {count}" for leg, count in zip(LEGS, counts, strict=True))
+        raise RenetError(
+            f"calves must have equally many colliding geoms beside the foot, not none: {text}"
+        )
+
+
 def demand_joints(spec: mujoco.MjSpec) -> None:
-    """Raise RenetError unless a robot's trunk is free and its only other joints are JOINTS."""
+    """Raise RenetError unless a robot has one free joint, of its trunk, and the joints JOINTS."""
     free = mujoco.mjtJoint.mjJNT_FREE
-    floating = [joint.parent.name for joint in spec.joints if joint.type == free]
-    if floating != [TRUNK]:
-        where = ", ".join(floating) or "none"
+    bodies = [joint.parent.name for joint in spec.joints if joint.type == free]
+    if bodies != [TRUNK]:
+        where = ", ".join(bodies) or "none"
         raise RenetError(
             f"the robot's MJCF must have one free joint, on its body {TRUNK}, not on {where}: add "
             "<freejoint/> to that body, and remove others"
         )
-    moving = (joint.name or "one without a name" for joint in spec.joints if joint.type != free)
-    if others := [name for name in moving if name not in JOINTS]:
+    names = [joint.name or "one without a name" for joint in spec.joints if joint.type != free]
+    others = [name for name in names if name not in JOINTS]
+    if others:
         raise RenetError(
             f"the robot's MJCF has other joints than the {len(JOINTS)} of its legs: "
             f"{', '.join(others)}. Policies drive legs alone: remove these (wheels, arms), so that "
@@ -159,22 +177,28 @@ def rename_parts(
     bodies: Mapping[str, str] | None = None,
     joints: Mapping[str, str] | None = None,
 ) -> mujoco.MjSpec:
-    """Turn a vendor's MJCF into what `RobotCfg.spec` promises, in place.
+    """Rename the parts of a vendor's MJCF as `RobotCfg.spec` needs them, in place.
 
     Args:
-        spec: the robot alone, without ground; raises RenetError if it lacks a part.
-        trunk: its name of the base body.
-        feet: its names of the feet's geoms, by leg of interface.LEGS. A body's name stands for its
-            lowest geom that collides, as vendors leave some without a name.
-        bodies: its name of each body FR_hip, FR_thigh, FR_calf, …, where it is another.
-        joints: its name of each joint of interface.JOINTS, where it is another.
+        spec: The robot alone, without ground.
+        trunk: The vendor's name of the base body.
+        feet: The vendor's names of the feet's geoms, by leg of interface.LEGS. The name of a body
+            stands for its lowest colliding geom, because some of them have no name.
+        bodies: The vendor's names of bodies FR_hip, FR_thigh, FR_calf, …, where they differ.
+        joints: The vendor's names of the joints of interface.JOINTS, where they differ.
+
+    Raises:
+        RenetError: The MJCF lacks a part.
     """
+    # Look all parts up before renaming any: a new name may be another part's old one.
     vendor_names = {TRUNK: trunk, **(bodies or {}), **(joints or {})}
     parts = {}
     for lookup, names in ((spec.body, BODIES), (spec.joint, JOINTS)):
-        parts |= {name: _part(lookup, vendor_names.get(name, name)) for name in names}
+        for name in names:
+            parts[name] = _part(lookup, vendor_names.get(name, name))
     for name, part in parts.items():
         part.name = name
+
     # Servos are mjlab's; physics options and poses are the task's.
     spec.option = mujoco.MjSpec().option
     for group in (spec.actuators, spec.sensors, spec.keys):
@@ -184,37 +208,45 @@ def rename_parts(
         raise RenetError(f"feet must be of {', '.join(LEGS)}, not {', '.join(feet) or 'none'}")
     for leg, foot in feet.items():
         geom = _foot(spec, foot)
-        if (site := spec.site(leg)) is not None:  # A vendor's, which may be anywhere.
+        # A vendor's site of this name may be anywhere.
+        site = spec.site(leg)
+        if site is not None:
             spec.delete(site)
         geom.parent.add_site(name=leg, pos=geom.pos)
         geom.name = f"{leg}_foot_collision"
     for body in spec.bodies:
-        colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
-        for number, geom in enumerate((g for g in colliding if g.name not in FEET), start=1):
+        geoms = [geom for geom in _colliding_geoms(body) if geom.name not in FEET]
+        for number, geom in enumerate(geoms, start=1):
             geom.name = f"{body.name}_collision{number}"
     return spec
 
 
+def _colliding_geoms(body: mujoco.MjsBody) -> list[mujoco.MjsGeom]:
+    """List the geoms of a body that collide."""
+    return [geom for geom in body.geoms if geom.contype or geom.conaffinity]
+
+
 def _foot(spec: mujoco.MjSpec, name: str) -> mujoco.MjsGeom:
-    """The geom of a foot, by its name or by that of a body, whose lowest one it is."""
+    """Find the geom of a foot, by its name or by that of a body, whose lowest geom it is."""
     body = spec.body(name)
     if spec.geom(name) is not None or body is None:
         return _part(spec.geom, name)
-    colliding = [geom for geom in body.geoms if geom.contype or geom.conaffinity]
-    if not colliding:
+    geoms = _colliding_geoms(body)
+    if not geoms:
         raise RenetError(f"the robot's MJCF has no geom that collides on the body {name!r}")
-    return min(colliding, key=lambda geom: geom.pos[2])
+    return min(geoms, key=lambda geom: geom.pos[2])
 
 
-def _limited(joint: mujoco.MjsJoint) -> bool:
-    """Whether a joint has limits; where its MJCF does not say so, MuJoCo goes by the range."""
+def _is_limited(joint: mujoco.MjsJoint) -> bool:
+    """Return True if a joint has limits; by default MuJoCo limits a joint that has a range."""
     low, high = joint.range
-    auto = joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO
-    return low < high if auto else bool(joint.limited)
+    if joint.limited == mujoco.mjtLimited.mjLIMITED_AUTO:
+        return low < high
+    return bool(joint.limited)
 
 
 def _part(lookup: Callable, name: str):
-    """A named part of a spec."""
+    """Find a part of a spec by its name; raises RenetError if there is none."""
     part = lookup(name)
     if part is None:
         raise RenetError(f"the robot's MJCF has no {lookup.__name__} named {name!r}")

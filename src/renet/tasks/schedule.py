@@ -1,7 +1,7 @@
-"""Settings that change during training: functions of the environment steps taken.
+"""Schedules of settings that change during training, as functions of the environment steps taken.
 
-Environment steps, not iterations or control steps, so that a schedule means the same for 64 robots
-and for 16,384.
+They count environment steps rather than iterations or control steps, so that a schedule means the
+same for 64 robots and for 16,384.
 """
 
 import re
@@ -21,13 +21,18 @@ _UNIT = {"": 1.0, "k": 1e3, "M": 1e6}
 
 
 def value_at(schedule: Schedule, steps: float) -> float:
-    """Value of a schedule after `steps` environment steps; raises RenetError if unreadable."""
+    """Return a schedule's value after `steps` environment steps.
+
+    Raises:
+        RenetError: The schedule cannot be read, or its points are not in order.
+    """
     return float(np.interp(steps, *_points(str(schedule))))
 
 
 @lru_cache(maxsize=256)
 def _points(schedule: str) -> tuple[list[float], list[float]]:
-    """Steps and values of all points; raises as `value_at` does."""
+    """Parse a schedule to steps and values of all points; raises as `value_at` does."""
+    # A number alone is a schedule of one point.
     texts = (schedule if "@" in schedule else f"{schedule}@0").split(",")
     try:
         points = [_POINT.fullmatch(text.strip()).groups() for text in texts]  # type: ignore[union-attr]

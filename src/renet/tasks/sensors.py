@@ -1,4 +1,4 @@
-"""The sensors of every RENet task, and their names."""
+"""Sensors of all RENet tasks, and their names."""
 
 from mjlab.envs import ManagerBasedRlEnvCfg
 from mjlab.sensor import ContactMatch, ContactSensorCfg, SensorCfg
@@ -19,9 +19,10 @@ CALF_CONTACT = "calf_contact"
 
 
 def sensors(robot: RobotCfg) -> tuple[SensorCfg, ...]:
-    """Contacts of feet, of thighs and trunk, and of calves with the terrain; camera; terrain."""
+    """Configure contacts of feet, thighs, trunk and calves; camera; and heights of the terrain."""
 
-    def touching(name: str, mode, pattern: tuple[str, ...], field: str) -> ContactSensorCfg:
+    def contact(name: str, mode, pattern: tuple[str, ...], field: str) -> ContactSensorCfg:
+        """Configure a sensor of contacts with the terrain."""
         return ContactSensorCfg(
             name=name,
             primary=ContactMatch(mode=mode, pattern=pattern, entity="robot"),
@@ -32,9 +33,9 @@ def sensors(robot: RobotCfg) -> tuple[SensorCfg, ...]:
 
     thighs = tuple(f"{leg}_thigh" for leg in LEGS)
     return (
-        touching(FEET_CONTACT, "geom", FEET, "found"),
-        touching(THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK), "force"),
-        touching(CALF_CONTACT, "geom", CALVES, "force"),
+        contact(FEET_CONTACT, "geom", FEET, "found"),
+        contact(THIGH_TRUNK_CONTACT, "body", (*thighs, TRUNK), "force"),
+        contact(CALF_CONTACT, "geom", CALVES, "force"),
         DepthCameraCfg(name=DEPTH_CAMERA, mount=robot.camera),
         HeightMapCfg(name=HEIGHT_MAP, base_height=robot.map_height),
         HeightMapCfg(name=FAR_MAP, x=FAR_MAP_X, y=FAR_MAP_Y, base_height=robot.map_height),
@@ -43,7 +44,7 @@ def sensors(robot: RobotCfg) -> tuple[SensorCfg, ...]:
 
 
 def depth_camera(cfg: ManagerBasedRlEnvCfg) -> DepthCameraCfg:
-    """The depth camera of a task, to change it in place; raises RenetError without one."""
+    """Find the depth camera's configuration in a task's; raises RenetError if there is none."""
     for sensor in cfg.scene.sensors:
         if isinstance(sensor, DepthCameraCfg):
             return sensor

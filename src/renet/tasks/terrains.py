@@ -1,4 +1,4 @@
-"""The curriculum of tiles for mjlab, and tiles in a row for evaluation."""
+"""Terrains for mjlab: the curriculum of tiles, and rows of tiles for evaluation."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,21 +7,26 @@ from typing import Any, cast
 from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.errors import RenetError
+from renet.terrain.course import WIDTH, Course
 from renet.terrain.own_ground import KIND
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
-SubTerrainCfg.register(Tile)  # mjlab's command line asks; tiles themselves need no mjlab.
+# mjlab's command line accepts only its subclasses; `Tile` itself must not import mjlab.
+SubTerrainCfg.register(Tile)
 
 UNSEEN = 1
-"""Seed of evaluation's tiles; training's is 0."""
+"""Seed of the tiles of evaluation; that of training is 0."""
 
 
 def parkour_terrain(
     seed: int = 0, kinds: Mapping[str, Tile] | None = None, levels: int = LEVELS
 ) -> TerrainEntityCfg:
-    """The curriculum: one column per kind of tile, by default training's, and one row per level.
+    """Configure the curriculum: a column for each kind of tile, and a row for each level.
 
-    The seed is of rough ground and obstacles; other tiles hold nothing random.
+    Args:
+        seed: Seed of rough ground and obstacles; other tiles are not random.
+        kinds: Tiles by kind, by default those of training.
+        levels: Number of levels.
     """
     generator = TerrainGeneratorCfg(
         seed=seed,
@@ -39,25 +44,48 @@ def parkour_terrain(
 
 
 def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
-    """Tiles in a row with a flat border, each at its own level, for evaluation.
+    """Configure a row of tiles with a flat border, each at its own level, for evaluation.
 
-    No training saw them: random tiles are drawn from another seed, and gaps and platforms are
-    single rings where the default recipe trains on several.
+    The tiles are new to a policy: random ones have another seed than in training, and gaps and
+    platforms are single rings, of which the default recipe has several on a tile.
 
     Args:
-        grounds: level, 1 to 10, of each kind of tile; "flat" is one without relief. Raises
-            RenetError for an unknown kind or level.
+        grounds: Level, from 1 to 10, of each kind of tile; "flat" is a tile without relief.
+
+    Raises:
+        RenetError: There is no such kind or level.
     """
     kinds = {}
     for kind, level in grounds.items():
+        # Flat ground is rough ground of height 0.
         tile, difficulty = find_tile("rough" if kind == "flat" else kind, level)
         size = 0.0 if kind == "flat" else tile.measure(difficulty)
         kinds[kind] = replace(tile, low=size, high=size, proportion=1.0, flat_start=False)
     return parkour_terrain(UNSEEN, kinds, levels=1)
 
 
+def course_row(courses: Mapping[str, Course]) -> TerrainEntityCfg:
+    """Courses side by side, by name; tiles are as long as the longest of them."""
+    generator = TerrainGeneratorCfg(
+        curriculum=True,
+        size=(max(course.length for course in courses.values()), WIDTH),
+        border_width=TILE,
+        num_rows=1,
+        color_scheme="none",
+        sub_terrains=cast(Any, dict(courses)),
+        add_lights=True,
+    )
+    return TerrainEntityCfg(
+        terrain_type="generator", terrain_generator=generator, max_init_terrain_level=None
+    )
+
+
 def own_ground(tile: Tile, level: int) -> TerrainEntityCfg:
-    """A tile of somebody's own ground at a level, 1 to 10, with a flat border, for evaluation."""
+    """Configure a user's own ground at a level from 1 to 10, with a flat border, for evaluation.
+
+    Raises:
+        RenetError: There is no such level.
+    """
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
     size = tile.measure((level - 1) / (LEVELS - 1))
@@ -65,21 +93,25 @@ def own_ground(tile: Tile, level: int) -> TerrainEntityCfg:
 
 
 def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -> None:
-    """Add somebody's own ground to a curriculum of tiles, in place, as one more kind.
+    """Add a user's own ground to a curriculum of tiles, in place, as one more kind.
 
     Args:
-        terrain: of the task; raises RenetError if it has no tiles.
-        tile: the ground. share: of the robots that walk there, above 0; 1: all of them.
+        terrain: The task's terrain.
+        tile: The ground.
+        share: Share of the robots that walk there, above 0; with 1 the other tiles are removed.
+
+    Raises:
+        RenetError: The terrain has no tiles, or the share is out of its range.
     """
     if not 0.0 < share <= 1.0:
         raise RenetError(f"--scene-share must be above 0 and at most 1, got {share:g}")
     if terrain is None or terrain.terrain_generator is None:
         raise RenetError("the task has no tiles to put a scene among: train a Parkour task")
     generator = terrain.terrain_generator
-    others = {kind: cfg for kind, cfg in generator.sub_terrains.items() if kind != KIND}
     if share == 1.0:
         generator.sub_terrains = cast(Any, {KIND: replace(tile, proportion=1.0)})
         return
+    others = {kind: cfg for kind, cfg in generator.sub_terrains.items() if kind != KIND}
     total = sum(cfg.proportion for cfg in others.values())
     proportion = share / (1.0 - share) * total
     generator.sub_terrains = cast(Any, {**others, KIND: replace(tile, proportion=proportion)})

@@ -242,7 +242,8 @@ def _add_box(
     if np.allclose(np.abs(rotation).max(axis=0), 1.0, atol=1e-6):  # Along the axes.
         low[:2] = np.maximum(low[:2], -TILE / 2)
         high[:2] = np.minimum(high[:2], TILE / 2)
-        builder.box(*zip(low.tolist(), high.tolist(), strict=True), color)
+        x, y, z = zip(low.tolist(), high.tolist(), strict=True)
+        builder.box(x, y, z, color)
         return
     _demand_inside(low, high, name)
     quaternion = np.empty(4)

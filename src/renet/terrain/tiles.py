@@ -22,6 +22,8 @@ FLAT = 1e-3
 """Height of edges on a flat first level, m; geoms must have a size."""
 LEVELS = 10
 """Rows of the curriculum (paper)."""
+OBSTACLE_GROUP = 1
+"""MuJoCo's group of geoms that stand on the ground of a course, and can be of glass."""
 
 Range = tuple[float, float]
 Color = tuple[float, float, float, float]
@@ -51,24 +53,27 @@ class BuiltTile:
 
 
 class TileBuilder:
-    """Adds boxes to a tile; coordinates are relative to its middle, m.
+    """Adds boxes to a tile; coordinates are relative to a point of it, by default its middle, m.
 
     A tile is one body, so that engines can skip those far away.
     """
 
-    def __init__(self, spec: mujoco.MjSpec) -> None:
+    def __init__(self, spec: mujoco.MjSpec, origin: Range = (TILE / 2, TILE / 2)) -> None:
+        """Begin a tile; origin: [2] m from its corner to where coordinates are zero."""
         self.spec = spec
+        self.origin = origin
         self.body = spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
         self.geometries: list[TileGeom] = []
 
-    def box(self, x: Range, y: Range, z: Range, color: Color = STONE) -> None:
+    def box(self, x: Range, y: Range, z: Range, color: Color = STONE) -> mujoco.MjsGeom:
         """Add an axis-aligned box, given its range in each direction."""
         low, high = np.array([x, y, z]).T
-        middle = (low + high) / 2 + (TILE / 2, TILE / 2, 0.0)
+        middle = (low + high) / 2 + (*self.origin, 0.0)
         geom = self.body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=middle, rgba=color
         )
         self.geometries.append(TileGeom(geom, color))
+        return geom
 
     def square(self, half: float, z: Range, color: Color = STONE) -> None:
         """Add a square slab around the middle."""

@@ -1,3 +1,3 @@
-"""How it is learned: N-P3O, supervision, modality schedule, checkpoints, export."""
+"""Learning: N-P3O, supervision, choice of the estimator, checkpoints, export."""
 
 import mjlab  # noqa: F401  Loads renet.registry, which needs this package: see renet.sim.

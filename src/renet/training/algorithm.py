@@ -22,41 +22,58 @@ from renet.training import distributed
 from renet.training.average import WeightAverage
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, WithholdingCfg, from_dict
 from renet.training.np3o import NP3O
-from renet.training.precision import halved_threads, learning_type, side_by_side
-from renet.training.storage import PolicyRollout, Recorder, TickRollout
+from renet.training.precision import halve_threads, learning_type, side_by_side
+from renet.training.storage import PolicyRollout, StepBuffer, TickRollout
 from renet.training.supervision import Supervision
 from renet.training.withholding import Withholding
 
 CRITIC_GROUPS = ("proprioception_clean", "velocity", "feet_height", "height_map", "privileged")
-"""Observation groups the critics see; the actor sees `proprioception` and the latent."""
-NORMALIZED_AT_ONCE = 65_536
-"""Rows of a rollout from which the critics' normaliser learns at once (80 MB)."""
+"""Observation groups of the critics; the actor reads `proprioception` and the latent."""
+NORMALIZER_ROWS = 65_536
+"""Largest number of observations that the critics' normalizer learns from at once (80 MB)."""
 
 
 def critic_observation(obs: TensorDict, *perception: Tensor) -> Tensor:
-    """What the critics see, [N, C]: CRITIC_GROUPS, and columns [N] on how the policy perceives."""
+    """Concatenate the observation of the critics, [N, C].
+
+    Args:
+        obs: Observation groups by name.
+        perception: Columns [N] about the policy's perception, such as the mask of OP.
+    """
     groups = [obs[group] for group in CRITIC_GROUPS]
-    return torch.cat((*groups, torch.stack(perception, dim=-1).to(groups[0].dtype)), dim=-1)
+    columns = torch.stack(perception, dim=-1).to(groups[0].dtype)
+    return torch.cat((*groups, columns), dim=-1)
 
 
 def _overflow_watch(env: VecEnv) -> OverflowWatch | None:
-    """A watch on the engine's buffers; C MuJoCo's grow as they must."""
+    """Watch the buffers of MuJoCo Warp; those of C MuJoCo grow as needed."""
     simulation = getattr(env.unwrapped, "sim", None)
-    warp = simulation is not None and not isinstance(simulation, NativeSimulation)
-    return OverflowWatch(simulation) if warp else None
+    if simulation is None or isinstance(simulation, NativeSimulation):
+        return None
+    return OverflowWatch(simulation)
 
 
 class RenetAlgorithm:
-    """Acts, records and learns; the runner only loops (rsl_rl's algorithm interface)."""
+    """Acting, recording and learning, with rsl_rl's algorithm interface."""
 
     def __init__(self, model: RENet, env: VecEnv, cfg: dict[str, Any], device: str) -> None:
-        """Set up for an environment; see `construct_algorithm`, which builds the model."""
+        """Initialize the learners of a model (see `construct_algorithm`, which builds it).
+
+        Args:
+            model: All networks.
+            env: Environments to learn in.
+            cfg: The agent's configuration as a dictionary.
+            device: Device to learn on.
+        """
         self.device = device
         self.model = model.to(device)
         self.adaptation = from_dict(AdaptationCfg, cfg["adaptation"])
         dtype = learning_type(cfg["precision"], device)
-        np3o = {k: v for k, v in cfg["algorithm"].items() if k not in ("class_name", "rnd_cfg")}
-        self.np3o = NP3O(model.actor, model.critics, from_dict(NP3OCfg, np3o), dtype)
+        # rsl_rl adds two keys that N-P3O does not know.
+        settings = dict(cfg["algorithm"])
+        settings.pop("class_name", None)
+        settings.pop("rnd_cfg", None)
+        self.np3o = NP3O(model.actor, model.critics, from_dict(NP3OCfg, settings), dtype)
         self.supervision = Supervision(model, from_dict(SupervisionCfg, cfg["supervision"]), dtype)
         self.memory = EstimatorMemory(model.cfg, env.num_envs, device)
         withholding = from_dict(WithholdingCfg, cfg["withholding"])
@@ -65,7 +82,8 @@ class RenetAlgorithm:
         self.iteration = 0
         self.steps = 0
         """Environment steps taken, of all robots and processes."""
-        self._steps, self._ticks = Recorder(), Recorder()
+        self._steps = StepBuffer()
+        self._ticks = StepBuffer()
         self._step_count = 0
         self._overflow = _overflow_watch(env)
 
@@ -73,22 +91,29 @@ class RenetAlgorithm:
     def construct_algorithm(
         cls, obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str
     ) -> Self:
-        """Build from rsl_rl's dictionary configuration; raises RenetError on a foreign task."""
+        """Build model and algorithm from rsl_rl's dictionary.
+
+        Raises:
+            RenetError: The task lacks an observation group, or the dictionary has an unknown key.
+        """
         groups = (*CRITIC_GROUPS, "far_map", "proprioception", "depth", "difficult")
         if missing := [group for group in groups if group not in obs]:
             raise RenetError(
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
                 "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
             )
+        # The mask of OP, and with withholding the age of the image (see `critic_observation`).
         columns = 2 if cfg["withholding"]["share"] else 1
-        critic_size = critic_observation(obs, *[obs["difficult"][:, 0]] * columns).shape[-1]
-        return cls(RENet(from_dict(ModelCfg, cfg["model"]), critic_size), env, cfg, device)
+        example = obs["difficult"][:, 0]
+        critic_size = critic_observation(obs, *[example] * columns).shape[-1]
+        model = RENet(from_dict(ModelCfg, cfg["model"]), critic_size)
+        return cls(model, env, cfg, device)
 
     # Rollout.
 
     @torch.no_grad()
     def act(self, obs: TensorDict) -> Tensor:
-        """Sample actions [N, 12]; ticks the estimators when they are due."""
+        """Sample actions [N, 12], and advance the estimators at their ticks."""
         proprioception = obs["proprioception"]
         mask = self.op_mask(obs)
         self.memory.push(proprioception)
@@ -96,28 +121,39 @@ class RenetAlgorithm:
             self._tick(obs, mask)
         latent = fuse(self.memory.latent_op, self.memory.latent_vp, mask)
         distribution = self.model.actor.distribution(proprioception, latent)
-        action, seen = distribution.sample(), self.critic_observation(obs, mask)
-        row = {"proprioception": proprioception, "latent": latent, "critic_observation": seen}
-        self._steps.begin(**row, action=action, mean=distribution.mean)
+        action = distribution.sample()
+        self._steps.begin(
+            proprioception=proprioception,
+            latent=latent,
+            critic_observation=self.critic_observation(obs, mask),
+            action=action,
+            mean=distribution.mean,
+        )
         return action
 
     def op_mask(self, obs: TensorDict) -> Tensor:
-        """True where the OP estimator drives in this iteration, [N] bool."""
-        perception, period = self.model.cfg.perception, self.adaptation.period
-        return op_mask(perception, self.iteration, obs["difficult"], period)
+        """Return a mask of the robots that OP steers in this iteration, [N] bool."""
+        perception = self.model.cfg.perception
+        return op_mask(perception, self.iteration, obs["difficult"], self.adaptation.period)
 
     def critic_observation(self, obs: TensorDict, mask: Tensor) -> Tensor:
-        """What the critics see of the present state, [N, C]."""
-        age = [self.memory.image_age] if self.withholding.cfg.share else []
-        return critic_observation(obs, *age, mask)
+        """Concatenate the critics' observation of the present state, [N, C]."""
+        if not self.withholding.cfg.share:
+            return critic_observation(obs, mask)
+        return critic_observation(obs, self.memory.image_age, mask)
 
     def _tick(self, obs: TensorDict, mask: Tensor) -> None:
-        """Advance the estimators and record what they are to be taught."""
+        """Advance the estimators, and record their inputs and targets."""
         memory = self.memory
-        fresh, latent_op, latent_vp = memory.fresh.clone(), memory.latent_op, memory.latent_vp
-        sees = self.withholding.tick(fresh, obs.get("easier"), self.steps)
+        # The memory before the tick, from which learning replays it.
+        fresh = memory.fresh.clone()
+        latent_op = memory.latent_op
+        latent_vp = memory.latent_vp
+
+        has_image = self.withholding.tick(fresh, obs.get("easier"), self.steps)
         oracle = self.model.cfg.perception == "oracle"
-        memory.see(true_image(obs["height_map"]) if oracle else obs["depth"], sees)
+        image = true_image(obs["height_map"]) if oracle else obs["depth"]
+        memory.see(image, has_image)
         memory.tick(self.model.advance)
         self._ticks.begin(
             history=memory.history,
@@ -137,7 +173,14 @@ class RenetAlgorithm:
     def process_env_step(
         self, obs: TensorDict, rewards: Tensor, dones: Tensor, extras: dict[str, Any]
     ) -> None:
-        """Record what the environment answered; `extras["costs"]` are [N, 3]."""
+        """Record the results of an environment step.
+
+        Args:
+            obs: Observations after the step.
+            rewards: Rewards, [N].
+            dones: Not zero where the step ended its episode, [N].
+            extras: `costs` of the constraints, [N, 3], and `time_outs`, [N].
+        """
         done = dones.bool()
         self._steps.finish(
             rewards_and_costs=torch.cat((rewards.unsqueeze(-1), extras["costs"]), dim=-1),
@@ -159,30 +202,39 @@ class RenetAlgorithm:
 
     @torch.no_grad()
     def compute_returns(self, obs: TensorDict) -> None:
-        """Value every state of the rollout in one batch, and the state after the last step."""
+        """Compute values of all states of the rollout, and of the state after its last step."""
         steps = self._steps.stack()
+
+        # Update the critics' normalizer, then normalize.
         normalize = self.model.critic_normalizer
-        for rows in steps["critic_observation"].flatten(0, 1).split(NORMALIZED_AT_ONCE):
+        for rows in steps["critic_observation"].flatten(0, 1).split(NORMALIZER_ROWS):
             distributed.update_normalizer(normalize, rows)
         steps["critic_observation"] = normalize(steps["critic_observation"])
+
+        # Values and log-probabilities of all states, in one batch each.
         steps["value"] = self.model.critics(steps["critic_observation"])
         last = self.critic_observation(obs, self.op_mask(obs))
         self._last_value = self.model.critics(normalize(last))
-        self._mean_costs = steps["rewards_and_costs"][..., 1:].mean((0, 1))
         steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
-        # An episode cut short would have gone on: bootstrap rewards and costs alike.
-        cut = steps.pop("time_out").unsqueeze(-1)
-        steps["rewards_and_costs"] += self.np3o.cfg.gamma * steps["value"] * cut
+
+        # Logged costs are those of the environment, without the values added below.
+        self._mean_costs = steps["rewards_and_costs"][..., 1:].mean((0, 1))
+
+        # Bootstrap rewards and costs of episodes that a time-out cut short.
+        time_out = steps.pop("time_out").unsqueeze(-1)
+        steps["rewards_and_costs"] += self.np3o.cfg.gamma * steps["value"] * time_out
         self._rollout = PolicyRollout(**steps)
 
     def update(self) -> dict[str, float]:
         """Learn from the rollout; returns losses and mean costs by name."""
-        learned = self._learn(TickRollout(**self._ticks.stack()))
-        numbers = torch.stack(list(learned.values())).tolist()  # At once: a GPU is waited for.
-        losses = dict(zip(learned, numbers, strict=True))
+        tensors = self._learn(TickRollout(**self._ticks.stack()))
+        # One transfer for all of them: it waits for a GPU.
+        numbers = torch.stack(list(tensors.values())).tolist()
+        losses = dict(zip(tensors, numbers, strict=True))
+
         self.average.update_parameters(self.model)
-        costs = zip(CONSTRAINTS, self._mean_costs.tolist(), strict=True)
-        losses |= {f"cost_{name}": cost for name, cost in costs}
+        for name, cost in zip(CONSTRAINTS, self._mean_costs.tolist(), strict=True):
+            losses[f"cost_{name}"] = cost
         if self._overflow is not None:
             losses |= self._overflow.report()
         self.iteration += 1
@@ -192,38 +244,45 @@ class RenetAlgorithm:
     def _learn(self, ticks: TickRollout) -> dict[str, Tensor]:
         """Take an iteration's gradient steps; returns losses by name.
 
-        Policy and estimators share no parameter: on a CPU they learn at once. Several ranks send
-        each other gradients in an order that must be the same on all, so there one after the other.
+        Policy and estimators share no parameter: on a CPU they learn at the same time. Several
+        ranks exchange gradients in an order that must be the same on all, so there they learn one
+        after the other.
         """
-        orders = self.np3o.draw_orders(self._rollout)  # Before supervision draws: seeds repeat.
-        of_policy = partial(
+        # Drawn before supervision draws its random numbers, so that a seed gives the same run.
+        orders = self.np3o.draw_orders(self._rollout)
+        update_policy = partial(
             self.np3o.update, self._rollout, self._last_value, orders, self.iteration, self.steps
         )
-        of_estimators = partial(self.supervision.update, ticks, self.steps)
+        update_estimators = partial(self.supervision.update, ticks, self.steps)
         if distributed.world_size() > 1:
-            return of_policy() | of_estimators()
-        with halved_threads(self.device):
-            policy, estimators = side_by_side(of_policy, of_estimators)
-        return policy | estimators
+            return update_policy() | update_estimators()
+        with halve_threads(self.device):
+            policy_losses, estimator_losses = side_by_side(update_policy, update_estimators)
+        return policy_losses | estimator_losses
 
     def not_finite(self, obs: TensorDict) -> list[str]:
-        """Names of the environment's outputs in the last rollout that hold NaN or infinity."""
+        """List the environment's outputs in the last rollout that hold NaN or infinity.
+
+        Args:
+            obs: Observations, for the sizes of their groups.
+        """
         rollout = self._rollout
         sizes = [obs[group].shape[-1] for group in CRITIC_GROUPS]
         columns = rollout.critic_observation[..., : sum(sizes)].split(sizes, dim=-1)
-        names = ("proprioception", *CRITIC_GROUPS)
-        values = (rollout.proprioception, *columns)
-        broken = [n for n, v in zip(names, values, strict=True) if not v.isfinite().all()]
-        if not broken and not rollout.rewards_and_costs.isfinite().all():
-            return ["rewards or costs"]  # Which hold critics' values, too.
-        return broken
+        outputs = {"proprioception": rollout.proprioception}
+        outputs |= dict(zip(CRITIC_GROUPS, columns, strict=True))
+        names = [name for name, values in outputs.items() if not values.isfinite().all()]
+        # Rewards and costs hold values of the critics, too, which observations may have spoilt.
+        if not names and not rollout.rewards_and_costs.isfinite().all():
+            return ["rewards or costs"]
+        return names
 
     @property
     def optimizers(self) -> dict[str, Optimizer]:
-        """By the names that checkpoints give them."""
+        """Optimizers by their names in checkpoints."""
         return {"np3o": self.np3o.optimizer, "supervision": self.supervision.optimizer}
 
     @property
     def action_std(self) -> Tensor:
-        """Deviation of each action, [12]."""
+        """Standard deviation of each action, [12]."""
         return self.model.actor.log_std.detach().exp()

@@ -1,32 +1,36 @@
-"""The mean of a run's last weights, which is exported."""
+"""Mean of a run's last weights, which is exported."""
 
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
 
 class WeightAverage(AveragedModel):
-    """Exponential moving average of a model's parameters and buffers, which is exported.
+    """Exponential moving average of a model's parameters and buffers.
 
-    Each gradient step leaves noise of its own in the weights. Their mean along a run has less of it
-    (Izmailov et al. 2018, arXiv 1803.05407) and often walks better than any it is made of.
+    Each gradient step adds noise to the weights. Their mean along a run has less of it (Izmailov et
+    al. 2018, arXiv 1803.05407) and often walks better than any single set of weights.
     """
 
     def __init__(self, model: nn.Module, over: int) -> None:
-        """Start with the weights of a model that is where it is to stay.
+        """Initialize the average with the present weights.
 
-        The average reaches back about `over` updates; 1 keeps the newest weights alone.
+        Args:
+            model: The model, on the device where it learns.
+            over: Number of updates that the average spans; 1 keeps the newest weights alone.
         """
         super().__init__(model, avg_fn=self._average, use_buffers=True)
         self.over = over
 
     def _average(self, average: Tensor, newest: Tensor, updates: Tensor | int) -> Tensor:
-        """Counts such as a normaliser's are taken over."""
+        """Average one tensor; integers, such as a normalizer's count, are copied."""
         if not newest.is_floating_point():
             return newest
-        # Reaches back a quarter of the run at most: early weights say nothing about later ones.
-        return average.lerp(newest, 1.0 / max(1.0, min(self.over, (int(updates) + 1) / 4)))
+        # At most the last quarter of the run: early weights say nothing about later ones.
+        quarter = (int(updates) + 1) / 4
+        span = max(1.0, min(self.over, quarter))
+        return average.lerp(newest, 1.0 / span)
 
     def load(self, tensors: dict[str, Tensor], updates: int) -> None:
-        """Go on with an average that was saved after so many updates."""
+        """Load an average that was saved after a number of updates."""
         self.module.load_state_dict(tensors)
         self.n_averaged.fill_(updates)

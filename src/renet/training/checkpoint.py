@@ -1,9 +1,9 @@
-"""Checkpoints: safetensors and JSON, so that loading a file never runs code in it.
+"""Checkpoints of safetensors and JSON, so that loading a file never runs code in it.
 
 A checkpoint is a folder `it_00001234` with `model.safetensors`, `average.safetensors` (the mean of
 the last weights, which is exported), `optimizer.safetensors`, `environment.safetensors` and
-`state.json`. It is written whole, so that a killed process or a full disk leaves earlier
-checkpoints as they are.
+`state.json`. A folder is written atomically: a killed process or a full disk leaves earlier
+checkpoints intact.
 """
 
 import json
@@ -25,47 +25,64 @@ from renet.errors import RenetError
 from renet.files import MEGABYTE, read_object, require_regular
 from renet.folders import foreign, remove_folder, write_folder
 from renet.models.config import ModelCfg
-from renet.training.provenance import described
+from renet.training.provenance import to_json
 
 FORMAT = 2
+"""Version of the folder's contents."""
 TENSORS = ("model", "average", "optimizer", "environment")
 FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
-"""All that a checkpoint's folder holds."""
+"""Files of a checkpoint's folder."""
 STATE = {"iteration": int, "steps": int, "seconds": int | float, "task": str}
-"""What every `state.json` holds beside its format and its settings."""
+"""Names and types in every `state.json`, beside format and settings."""
 MAX_TENSORS = 100 * MEGABYTE
-"""Bytes of one file of tensors; those of the default networks have at most 16 MB."""
+"""Largest size of a file of tensors in bytes; the default networks need at most 16 MB."""
 
 
 @dataclass
 class Checkpoint:
-    """Everything a run needs to go on as if it had not stopped."""
+    """Complete state of a run, from which it continues as if it had not stopped."""
 
     model: dict[str, Tensor]
+    """Weights of all networks."""
     optimizer: dict[str, Tensor]
-    """Empty in a checkpoint of weights alone: training then goes on with fresh moments."""
+    """Adam's moments; empty in a checkpoint of weights alone, from which training continues with
+    fresh moments."""
     environment: dict[str, Tensor]
-    """Curriculum levels, command stage, and random-number state."""
+    """Curriculum levels, command stage, and state of the random-number generators."""
     state: dict[str, Any] = field(default_factory=dict)
-    """Iteration, steps, adaptive learning rate, penalties, and both configurations."""
+    """Iteration, steps, adaptive learning rate, penalty, and both configurations."""
     average: dict[str, Tensor] = field(default_factory=dict)
     """Mean of the last weights; empty in a checkpoint that has none."""
 
     @property
     def exported(self) -> dict[str, Tensor]:
-        """The weights to judge and to export: the average where there is one."""
+        """Weights to evaluate and to export: the average if there is one."""
         return self.average or self.model
 
 
 def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Path:
-    """Write atomically and keep it and the `keep` - 1 farthest others; raises RenetError."""
+    """Write a checkpoint atomically, and remove old ones.
+
+    Args:
+        checkpoint: State of the run.
+        folder: Folder of the run's checkpoints.
+        iteration: Number of finished iterations, which names the checkpoint.
+        keep: Number of checkpoints to keep: this one and those of the highest iterations.
+
+    Returns:
+        Folder of the checkpoint.
+
+    Raises:
+        RenetError: A file cannot be written.
+    """
     final = folder / f"it_{iteration:08d}"
     state = {"format": FORMAT, "iteration": iteration, **checkpoint.state}
     contents = {"state.json": (json.dumps(state, indent=1) + "\n").encode()}
-    for name in TENSORS:
-        tensors = getattr(checkpoint, name).items()
-        tensors = {k: v.detach().cpu().contiguous() for k, v in tensors}
-        contents[f"{name}.safetensors"] = to_bytes(tensors)
+    for part in TENSORS:
+        tensors = {}
+        for name, tensor in getattr(checkpoint, part).items():
+            tensors[name] = tensor.detach().cpu().contiguous()
+        contents[f"{part}.safetensors"] = to_bytes(tensors)
     try:
         write_folder(final, contents, FILES, "checkpoint")
     except RenetError as error:
@@ -74,8 +91,10 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
             "checkpoints are intact"
         ) from error
     others = [path for path in checkpoints(folder) if path != final]
-    for old in others[: max(len(others) - keep + 1, 0)]:
-        if foreign(old, FILES) is None:  # Else somebody keeps notes there.
+    surplus = max(len(others) - keep + 1, 0)
+    for old in others[:surplus]:
+        # A folder with other files in it stays: somebody keeps notes there.
+        if foreign(old, FILES) is None:
             remove_folder(old, FILES)
     for torn in _torn(folder):
         remove_folder(torn, FILES)
@@ -90,50 +109,61 @@ def _torn(folder: Path) -> list[Path]:
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    """Complete checkpoints in a folder, oldest first."""
-    return sorted(path.parent for path in folder.glob("*/state.json") if _numbered(path.parent))
+    """List the complete checkpoints in a folder, oldest first."""
+    folders = [file.parent for file in folder.glob("*/state.json")]
+    return sorted(path for path in folders if _has_checkpoint_name(path))
 
 
-def _numbered(folder: Path) -> bool:
-    """Whether a folder is named as a checkpoint: by its iteration, in eight digits."""
+def _has_checkpoint_name(folder: Path) -> bool:
+    """Return True for a folder named `it_` and the iteration in eight digits."""
     return re.fullmatch(r"it_\d{8}", folder.name) is not None and not folder.is_symlink()
 
 
 def find(path: Path) -> Path:
-    """The checkpoint `path` is, or the newest below a folder of runs, which is then printed.
+    """Find a checkpoint: `path` itself, or the newest below a folder of runs, which is printed.
 
-    Newest is the highest iteration of the last run by name, which is its date: the times of files
-    change when folders are copied. Raises RenetError where there is none.
+    The newest checkpoint is that of the highest iteration in the last run by name, which begins
+    with its date. Times of files would not do: they change when folders are copied.
+
+    Raises:
+        RenetError: There is no checkpoint.
     """
     if (path / "state.json").is_file():
         return path
     if not path.exists():
         raise RenetError(f"no checkpoint at {path}")
-    below = [p.parent for p in path.glob("**/state.json") if _numbered(p.parent)]
-    if not below:
+    folders = [file.parent for file in path.glob("**/state.json")]
+    candidates = [folder for folder in folders if _has_checkpoint_name(folder)]
+    if not candidates:
         raise RenetError(f"no checkpoint in {path}: give a run folder or one of its it_* folders")
-    checkpoint = max(below, key=lambda p: (_date(p.parent.parent), p.name))
+    checkpoint = max(candidates, key=lambda p: (_run_date(p.parent.parent), p.name))
     print(f"Checkpoint: {checkpoint}", file=sys.stderr)
     return checkpoint
 
 
-def _date(run: Path) -> tuple[str, float]:
-    """Sorts runs: by their folders' names, which begin with date and time; others come first."""
-    dated = run.name[:4].isdigit()
-    return (run.name if dated else "", run.stat().st_mtime)
+def _run_date(run: Path) -> tuple[str, float]:
+    """Return a key that sorts runs by date: their names, which begin with it, others first."""
+    name = run.name if run.name[:4].isdigit() else ""
+    return name, run.stat().st_mtime
 
 
 def load(
     path: Path, device: str | torch.device = "cpu", model: nn.Module | None = None
 ) -> Checkpoint:
-    """Read a checkpoint's folder, its tensors to a device.
+    """Read a checkpoint.
+
+    Args:
+        path: Folder of the checkpoint.
+        device: Device of the tensors.
+        model: Model that the weights are for. Their names and shapes are compared with it before
+            any tensor takes memory.
 
     Raises:
-        RenetError: a file is missing or damaged, or does not fit the model that the weights are
-            for, with which headers are compared before any tensor takes memory.
+        RenetError: A file is missing or damaged, or the weights do not fit the model.
     """
     state = load_state(path)
-    tensors: dict[str, dict[str, Tensor]] = {"optimizer": {}, "average": {}}  # Not in all.
+    # Files that a checkpoint may lack.
+    tensors: dict[str, dict[str, Tensor]] = {"optimizer": {}, "average": {}}
     try:
         for name in ("model", "environment", *tensors):
             file = path / f"{name}.safetensors"
@@ -141,6 +171,7 @@ def load(
                 continue
             shapes = header(file)
             if model is not None and shapes and name in ("model", "average"):
+                # Tensors on the device meta have shapes but take no memory.
                 load_model(deepcopy(model).to("meta"), shapes, path, assign=True)
             tensors[name] = load_file(file, device=str(device))
     except (OSError, ValueError, SafetensorError) as error:
@@ -149,10 +180,11 @@ def load(
 
 
 def header(file: Path) -> dict[str, Tensor]:
-    """Tensors of a file by name, without their values.
+    """Read the names and shapes of a file's tensors, as tensors on the device meta.
 
-    Raises RenetError where it is no regular file or larger than any of renet's, and SafetensorError
-    where it is not of tensors.
+    Raises:
+        RenetError: The path is no regular file, or the file is larger than any that renet writes.
+        SafetensorError: The file holds no tensors.
     """
     with safe_open(require_regular(file, MAX_TENSORS, "checkpoint's file"), "pt") as tensors:
         names = tensors.keys()
@@ -161,12 +193,18 @@ def header(file: Path) -> dict[str, Tensor]:
 
 
 def load_state(path: Path) -> dict[str, Any]:
-    """Read a checkpoint's `state.json` alone; raises RenetError for one that no run can write."""
+    """Read a checkpoint's `state.json` alone.
+
+    Raises:
+        RenetError: The file cannot be read, or lacks what every run writes.
+    """
     state = read_object(path / "state.json", "checkpoint state")
-    if (number := state.get("format")) != FORMAT:
+    number = state.get("format")
+    if number != FORMAT:
         raise RenetError(f"{path} has checkpoint format {number}, this renet reads {FORMAT}")
-    if not all(isinstance(state.get(name), dict) for name in ("agent", "env")):
-        raise RenetError(f"{path} is not a checkpoint of RENet: it states no settings")
+    for name in ("agent", "env"):
+        if not isinstance(state.get(name), dict):
+            raise RenetError(f"{path} is not a checkpoint of RENet: it states no settings")
     for name, kind in STATE.items():
         if not isinstance(state.get(name), kind):
             raise RenetError(f"{path} is not a checkpoint of RENet: it states no {name}")
@@ -174,9 +212,19 @@ def load_state(path: Path) -> dict[str, Any]:
 
 
 def check_model(model: ModelCfg, state: dict[str, Any], path: Path) -> None:
-    """Refuse weights of another model, even where they would fit; raises RenetError."""
-    stored, ours = state["agent"].get("model", {}), described(model)
-    changes = [f"{k} was {v}, now {ours[k]}" for k, v in stored.items() if ours.get(k, v) != v]
+    """Raise RenetError for weights of another model, even if their shapes fit.
+
+    Args:
+        model: Configuration of the model that is to load the weights.
+        state: The checkpoint's `state.json`.
+        path: Folder of the checkpoint, for the message.
+    """
+    stored = state["agent"].get("model", {})
+    present = to_json(model)
+    changes = []
+    for name, value in stored.items():
+        if present.get(name, value) != value:
+            changes.append(f"{name} was {value}, now {present[name]}")
     if changes:
         raise RenetError(
             f"{path} was trained with another model, so repeat its --agent.model options: "
@@ -187,9 +235,16 @@ def check_model(model: ModelCfg, state: dict[str, Any], path: Path) -> None:
 def load_model(
     module: nn.Module, tensors: dict[str, Tensor], path: Path, assign: bool = False
 ) -> None:
-    """Load weights, or let `module` take the tensors themselves (`assign`).
+    """Load weights into a module.
 
-    Raises RenetError for other names or shapes than the module's, with PyTorch's word on it.
+    Args:
+        module: The module.
+        tensors: Weights by name.
+        path: Folder of the checkpoint, for the message.
+        assign: Replace the module's tensors by these ones in place of copying their values.
+
+    Raises:
+        RenetError: Names or shapes are not the module's; the message quotes PyTorch's.
     """
     try:
         module.load_state_dict(tensors, assign=assign)
@@ -199,20 +254,22 @@ def load_model(
 
 
 def optimizer_tensors(optimizers: dict[str, Optimizer]) -> dict[str, Tensor]:
-    """Adam's moments as flat names `optimizer/parameter/moment`."""
-    return {
-        f"{owner}/{index}/{name}": value
-        for owner, optimizer in optimizers.items()
-        for index, moments in optimizer.state_dict()["state"].items()
-        for name, value in moments.items()
-    }
+    """Collect Adam's moments under flat names `optimizer/parameter/moment`."""
+    tensors = {}
+    for owner, optimizer in optimizers.items():
+        for index, moments in optimizer.state_dict()["state"].items():
+            for name, value in moments.items():
+                tensors[f"{owner}/{index}/{name}"] = value
+    return tensors
 
 
 def load_optimizers(optimizers: dict[str, Optimizer], tensors: dict[str, Tensor]) -> None:
-    """Inverse of `optimizer_tensors`; the groups' settings stay as configured."""
+    """Load moments that `optimizer_tensors` collected; learning rates stay as configured."""
     moments: dict[str, dict[int, dict[str, Tensor]]] = {owner: {} for owner in optimizers}
     for key, value in tensors.items():
         owner, index, name = key.split("/")
         moments[owner].setdefault(int(index), {})[name] = value
     for owner, optimizer in optimizers.items():
-        optimizer.load_state_dict(optimizer.state_dict() | {"state": moments[owner]})
+        state = optimizer.state_dict()
+        state["state"] = moments[owner]
+        optimizer.load_state_dict(state)

@@ -15,7 +15,7 @@ from renet.errors import RenetError, unknown_name
 from renet.options import TrainOptions
 from renet.terrain.own_ground import KIND
 from renet.training.config import to_tuples
-from renet.training.provenance import PLAIN, described
+from renet.training.provenance import PLAIN, to_json
 
 T = TypeVar("T")
 PARTS = ("agent", "env")
@@ -90,7 +90,7 @@ def configured(value: T, stored: Any, name: str) -> T:
     Raises:
         RenetError: a setting that there is not, or a value that it cannot have.
     """
-    if stored == described(value):  # As a run wrote it, functions too.
+    if stored == to_json(value):  # As a run wrote it, functions too.
         return value
     result: Any
     if is_dataclass(value) and not isinstance(value, type):
@@ -143,7 +143,7 @@ def _leaf(value: Any, stored: Any, name: str) -> Any:
     if isinstance(value, list | tuple | set) and isinstance(stored, list):
         return type(value)(map(to_tuples, stored))
     raise RenetError(
-        f"{name} cannot be changed in a file: it is {described(value)!r} in this task. Take it out,"
+        f"{name} cannot be changed in a file: it is {to_json(value)!r} in this task. Take it out,"
         " or register a task of your own"
     )
 

@@ -1,4 +1,4 @@
-"""`renet export`: trained networks become a bundle of ONNX models (paper, Experimental Setup)."""
+"""Export of trained networks to a bundle of ONNX models (paper, Experimental Setup)."""
 
 import io
 import warnings
@@ -40,18 +40,24 @@ from renet.training import checkpoint as checkpoints
 from renet.training.config import WithholdingCfg, from_dict
 
 OPSET = 17
-"""Old enough for the ONNX Runtime of a robot's computer, new enough for LayerNormalization."""
+"""Version of ONNX's operators: old enough for the ONNX Runtime of a robot's computer, new enough
+for LayerNormalization."""
 
 
 def export(cfg: ExportCfg) -> Path:
-    """Export and return the bundle's folder; raises RenetError for a foreign checkpoint."""
+    """Export a checkpoint and return the bundle's folder.
+
+    Raises:
+        RenetError: The folder is no checkpoint of RENet.
+    """
     path = checkpoints.find(cfg.checkpoint)
-    model, state = load_networks(path), checkpoints.load_state(path)
+    model = load_networks(path)
+    state = checkpoints.load_state(path)
     try:
         provenance = _provenance(state, model.cfg)
         sensors = state["env"].get("scene", {}).get("sensors", [])
         noise_std = [sensor["noise"]["gaussian_std"] for sensor in sensors if "noise" in sensor]
-        learned = from_dict(WithholdingCfg, state["agent"].get("withholding", {}))
+        withholding = from_dict(WithholdingCfg, state["agent"].get("withholding", {}))
         goals = state["env"].get("commands", {}).get(COMMAND, {})
         twist = goals.get("told") == "twist"
     except (KeyError, TypeError, AttributeError) as error:
@@ -60,8 +66,10 @@ def export(cfg: ExportCfg) -> Path:
     selector = SelectorSpec(
         beta=cfg.beta,
         calibration="none: run `renet calibrate`",
-        longest_memory=learned.longest if learned.share else 0.0,
+        # A policy remembers no longer than it had to in training.
+        longest_memory=withholding.longest if withholding.share else 0.0,
     )
+    # Without a noisy camera in the task, the noise is the default one.
     camera = camera_spec(robot, *noise_std[:1])
     manifest = Manifest(
         robot_spec(robot),
@@ -76,16 +84,17 @@ def export(cfg: ExportCfg) -> Path:
 
 
 def load_networks(path: Path) -> RENet:
-    """Rebuild the networks a checkpoint was taken from.
+    """Build the networks of a checkpoint, with its weights.
 
     Raises:
-        RenetError: a file is missing or damaged, or weights and settings do not fit each other.
+        RenetError: A file is missing or damaged, or weights and settings do not fit each other.
     """
     try:
         cfg = from_dict(ModelCfg, checkpoints.load_state(path)["agent"]["model"])
         weights = checkpoints.header(path / "model.safetensors")
         critic_size = weights["critic_normalizer._mean"].shape[-1]
-        with torch.device("meta"):  # Takes no memory, whatever sizes a stranger wrote.
+        # On the device meta, so that no sizes, which a stranger may have written, take memory.
+        with torch.device("meta"):
             shapes = RENet(cfg, critic_size)
     except KeyError as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: it lacks {error}") from error
@@ -100,7 +109,7 @@ def load_networks(path: Path) -> RENet:
 
 
 def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
-    """A robot as the tasks drive it, read from the model they compile."""
+    """Read a robot's description from the MuJoCo model that the tasks compile."""
     cfg = robot.entity()
     model = Entity(cfg).spec.compile()
     default = resolve_expr(cfg.init_state.joint_pos or {}, JOINTS)
@@ -120,7 +129,12 @@ def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
 
 
 def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian_std) -> CameraSpec:
-    """The tasks' camera on a robot; `noise_std` is of the constant part of the depth error, m."""
+    """Describe the tasks' camera on a robot.
+
+    Args:
+        robot: The robot.
+        noise_std: Standard deviation of the constant part of the depth error, m.
+    """
     camera = DepthCameraCfg(name="depth_camera", mount=robot.camera)
     return CameraSpec(
         **vars(camera.intrinsics),
@@ -133,6 +147,7 @@ def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian
 
 
 def _provenance(state: dict[str, Any], cfg: ModelCfg) -> ProvenanceSpec:
+    """Describe the run of a checkpoint, given its state and the model's configuration."""
     fields = {
         "task": state["task"] or "",
         "iteration": state["iteration"],
@@ -148,7 +163,7 @@ def _provenance(state: dict[str, Any], cfg: ModelCfg) -> ProvenanceSpec:
 
 
 class ActorGraph(nn.Module):
-    """50 Hz: o_t, both latents and the paper's mask to an action."""
+    """Graph that runs at 50 Hz: from o_t, both latents and the paper's mask to an action."""
 
     def __init__(self, model: RENet) -> None:
         super().__init__()
@@ -157,16 +172,17 @@ class ActorGraph(nn.Module):
     def forward(
         self, proprioception: Tensor, latent_op: Tensor, latent_vp: Tensor, op_mask: Tensor
     ) -> Tensor:
-        """Mean action [N, 12]."""
+        """Compute the mean action, [N, 12]."""
         return self.actor(proprioception, fuse(latent_op, latent_vp, op_mask))
 
 
 class EstimatorGraph(nn.Module):
-    """10 Hz: both estimators, their memories in and out, and what they predict."""
+    """Graph that runs at 10 Hz: both estimators, from memory to memory and predictions."""
 
     def __init__(self, model: RENet) -> None:
         super().__init__()
-        self.op, self.vp = model.op, model.vp
+        self.op = model.op
+        self.vp = model.vp
 
     def forward(
         self,
@@ -176,32 +192,38 @@ class EstimatorGraph(nn.Module):
         latent_vp: Tensor,
         has_image: Tensor,
     ) -> tuple[Tensor, ...]:
-        """Next latents and predictions; a head absent from an ablation predicts zeros."""
+        """Compute next latents and predictions; a head that an ablation lacks predicts zeros."""
         next_op = self.op(history, depth, has_image, latent_op)
         next_vp = self.vp(history, depth, has_image, latent_vp)
-        op, vp = self.op.predict(next_op), self.vp.predict(next_vp)
+        op_predictions = self.op.predict(next_op)
+        vp_predictions = self.vp.predict(next_vp)
         outputs = [next_op, next_vp]
-        for heads, name, size in (
-            (op, "velocity", 3),
-            (vp, "velocity", 3),
-            (vp, "feet_height", NUM_FEET),
-            (vp, "height_map", HEIGHT_MAP_SIZE),
+        for predictions, name, size in (
+            (op_predictions, "velocity", 3),
+            (vp_predictions, "velocity", 3),
+            (vp_predictions, "feet_height", NUM_FEET),
+            (vp_predictions, "height_map", HEIGHT_MAP_SIZE),
         ):
-            outputs.append(heads.get(name, next_vp[:, :1] * torch.zeros(size)))
+            # From an input, so that the graph's batch axis has the input's size.
+            zeros = next_vp[:, :1] * torch.zeros(size)
+            outputs.append(predictions.get(name, zeros))
         if self.vp.map_error_head is not None:
             outputs.append(self.vp.map_error(next_vp))
         return tuple(outputs)
 
 
 class VisionGraph(nn.Module):
-    """10 Hz: the autoencoder, its anomaly score, and that of the variance detector."""
+    """Graph that runs at 10 Hz: the autoencoder and its anomaly scores."""
 
     def __init__(self, model: RENet) -> None:
         super().__init__()
         self.autoencoder = model.autoencoder
 
     def forward(self, depth: Tensor) -> tuple[Tensor, ...]:
-        """Reconstruction [N, 2, 48, 64], Loss_ad [N], perhaps the variance score [N]."""
+        """Compute the reconstruction [N, 2, 48, 64], Loss_ad [N], and a variance score [N].
+
+        The last of these is an output of the variance detector alone.
+        """
         reconstruction, log_variance = self.autoencoder.predict(depth)
         score = anomaly_score(depth, reconstruction)
         if log_variance is None:
@@ -210,10 +232,16 @@ class VisionGraph(nn.Module):
 
 
 def export_models(model: RENet) -> dict[str, bytes]:
-    """The three ONNX models by name, with a batch axis; raises RenetError for an Oracle."""
+    """Export the three ONNX models by name, with a batch axis.
+
+    Raises:
+        RenetError: The model is an Oracle, which reads the simulator's true state.
+    """
     if model.cfg.perception == "oracle":
         raise RenetError("the Oracle reads the simulator's truth and cannot be exported")
-    model, shapes = model.cpu().eval(), model_shapes(model.cfg.history)
+    model = model.cpu().eval()
+    shapes = model_shapes(model.cfg.history)
+    # Inputs and outputs that older bundles lack.
     shapes["estimator"][0][HAS_IMAGE] = (1,)
     if model.cfg.detector == "variance":
         shapes["vision"][1][VARIANCE] = ()
@@ -224,9 +252,16 @@ def export_models(model: RENet) -> dict[str, bytes]:
 
 
 def _to_onnx(graph: nn.Module, inputs: dict[str, tuple[int, ...]], outputs: Iterable[str]) -> bytes:
-    """Serialise a graph, given inputs' shapes and outputs' names; all have the batch first."""
-    buffer, example = io.BytesIO(), tuple(torch.zeros(2, *shape) for shape in inputs.values())
-    # The tracing exporter is deprecated but keeps these small graphs free of external data.
+    """Serialize a graph.
+
+    Args:
+        graph: Module whose `forward` takes the inputs in order.
+        inputs: Shapes of the inputs by name, without the batch axis, which is the first.
+        outputs: Names of the outputs, which have a batch axis, too.
+    """
+    buffer = io.BytesIO()
+    example = tuple(torch.zeros(2, *shape) for shape in inputs.values())
+    # The tracing exporter is deprecated, but keeps these small graphs free of external data.
     with warnings.catch_warnings(action="ignore"):
         torch.onnx.export(
             graph,

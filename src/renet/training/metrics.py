@@ -1,4 +1,4 @@
-"""Training curves: CSV beside TensorBoard or wandb while a run goes on, one figure at its end."""
+"""Training curves: CSV beside TensorBoard or wandb during a run, and a figure at its end."""
 
 import csv
 import io
@@ -18,7 +18,7 @@ from renet.curves import CURVES, LEVEL, read_curves
 from renet.errors import RenetError, reason
 from renet.files import append, write_atomically
 from renet.interface import CONSTRAINTS
-from renet.training.provenance import described
+from renet.training.provenance import to_json
 
 PANELS = (
     ("reward per episode", ("Train/mean_reward",)),
@@ -38,57 +38,67 @@ PANELS = (
     ("constraints' penalty, students' loss", ("Loss/cost", "Loss/imitation")),
     ("env-steps/s", ("Perf/total_fps",)),
 )
-"""Panel titles and their curves: names, or a prefix of names."""
-SMOOTHING = 0.9
-"""Weight of the past in the drawn moving average."""
+"""Titles of the figure's panels, and their curves: a tuple of names, or a prefix of names."""
+PAST_WEIGHT = 0.9
+"""Weight of past values in the figure's exponential moving averages."""
 
 
 class CurvesWriter(LogWriter):
-    """Curves for TensorBoard and perhaps wandb, and (iteration, name, value) rows in `curves.csv`.
+    """Writer of curves to TensorBoard, to `curves.csv`, and to wandb if that is the logger.
 
-    Each row goes to the disk at once, so that a killed run keeps its curve; a resumed run appends.
+    `curves.csv` has rows (iteration, name, value). Each goes to the disk at once, so that a killed
+    run keeps its curves; a resumed run appends.
     """
 
     def __init__(self, log_dir: str, logger: str, project_name: str) -> None:
-        """Open the files of a run's folder; `project_name` is for the logger `wandb`."""
+        """Open the files.
+
+        Args:
+            log_dir: Folder of the run.
+            logger: wandb or tensorboard.
+            project_name: Project of the logger wandb.
+        """
         self._path = Path(log_dir) / CURVES
         self._wandb = wandb_run(log_dir, project_name) if logger == "wandb" else None
-        with self._writing():
+        with self._report_errors():
             self._board = SummaryWriter(log_dir, flush_secs=10)
             self._file = append(self._path)
             self._rows = csv.writer(self._file)
-            # After a row that a killed run left torn, too: empty lines are no rows.
-            self._rows.writerow(() if self._file.tell() else ("iteration", "name", "value"))
+            # An empty line ends a row that a killed run may have left incomplete.
+            header = ("iteration", "name", "value")
+            self._rows.writerow(() if self._file.tell() else header)
         self.latest: dict[str, float] = {}
+        """Newest value of each curve."""
 
     def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None:
         """Record one value at a learning iteration."""
-        if tag.endswith("/time"):  # rsl_rl logs these against seconds, not iterations.
+        # rsl_rl logs these curves against seconds in place of iterations.
+        if tag.endswith("/time"):
             return
         value = float(scalar_value)
         self.latest[tag] = value
-        with self._writing():
+        with self._report_errors():
             self._board.add_scalar(tag, value, global_step)
             self._rows.writerow((global_step, tag, f"{value:.6g}"))
         if self._wandb:
             self._wandb.log({tag: value}, step=global_step)
 
     def store_config(self, env_cfg: dict | object, train_cfg: dict) -> None:
-        """Keep both configurations beside wandb's curves."""
+        """Record both configurations beside wandb's curves."""
         if self._wandb:
-            self._wandb.config.update({"env": described(env_cfg), "agent": described(train_cfg)})
+            self._wandb.config.update({"env": to_json(env_cfg), "agent": to_json(train_cfg)})
 
     def stop(self) -> None:
-        """Close both files, and end wandb's run."""
-        with self._writing():
+        """Close both files and end wandb's run."""
+        with self._report_errors():
             self._board.close()
             self._file.close()
         if self._wandb:
             self._wandb.finish()
 
     @contextmanager
-    def _writing(self) -> Iterator[None]:
-        """Name the file that cannot be written; raises RenetError."""
+    def _report_errors(self) -> Iterator[None]:
+        """Context that raises RenetError, with the file's name, where it cannot be written."""
         try:
             yield
         except OSError as error:
@@ -99,7 +109,10 @@ class CurvesWriter(LogWriter):
 
 
 def wandb_run(log_dir: str, project_name: str) -> Any:
-    """A run of wandb's; rsl_rl's own writer asks for a setting that wandb has no more."""
+    """Begin a run of wandb.
+
+    rsl_rl's own writer needs a setting that wandb no longer has.
+    """
     try:
         import wandb
     except ModuleNotFoundError as error:
@@ -110,25 +123,43 @@ def wandb_run(log_dir: str, project_name: str) -> Any:
 
 
 def write_run_report(run: Path) -> Path:
-    """Draw `curves.png` and write `report.json` (last smoothed values); returns the figure."""
+    """Draw the figure `curves.png`, and write the last smoothed values to `report.json`.
+
+    Args:
+        run: Folder of the run.
+
+    Returns:
+        Path of the figure.
+    """
     curves = read_curves(run / CURVES)
     figure = Figure(figsize=(16, 12), layout="constrained")
     last = {}
-    for axis, (title, names) in zip(figure.subplots(4, 4).flat, PANELS, strict=True):
-        prefix = isinstance(names, str)
-        shown = sorted(n for n in curves if (n.startswith(names) if prefix else n in names))
-        for name in shown:
+    for axis, (title, pattern) in zip(figure.subplots(4, 4).flat, PANELS, strict=True):
+        names = [name for name in sorted(curves) if _belongs(name, pattern)]
+        for name in names:
             iterations = sorted(curves[name])
             values = [curves[name][iteration] for iteration in iterations]
-            smooth = list(accumulate(values, lambda a, b: SMOOTHING * a + (1.0 - SMOOTHING) * b))
+            smooth = list(accumulate(values, _smooth))
             last[name] = smooth[-1]
             axis.plot(iterations, smooth, label=name.split("/")[-1])
         axis.set(title=title, xlabel="iteration")
         axis.grid(alpha=0.3)
-        if len(shown) > 1:
+        if len(names) > 1:
             axis.legend(fontsize=7)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=70)
     write_atomically(run / "curves.png", picture.getvalue(), "report")
     write_atomically(run / "report.json", (json.dumps(last, indent=1) + "\n").encode(), "report")
     return run / "curves.png"
+
+
+def _belongs(name: str, pattern: str | tuple[str, ...]) -> bool:
+    """Return True if a curve is in a panel, given as a prefix or as a tuple of names."""
+    if isinstance(pattern, str):
+        return name.startswith(pattern)
+    return name in pattern
+
+
+def _smooth(average: float, value: float) -> float:
+    """Advance an exponential moving average."""
+    return PAST_WEIGHT * average + (1.0 - PAST_WEIGHT) * value

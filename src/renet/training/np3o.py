@@ -1,8 +1,8 @@
 """N-P3O: first-order constrained policy optimisation (Lee et al. 2023, arXiv 2309.15430).
 
-The reward part is PPO. Each constraint adds kappa_i * relu(L_i + V_i): L_i is the clipped surrogate
-of its normalised cost advantage, V_i how far its cost return is above budget in the same scale.
-A satisfied constraint contributes nothing.
+The reward part is PPO. Each constraint i adds a penalty kappa * relu(L_i + V_i), in which L_i is
+the clipped surrogate of its normalised cost advantage and V_i the distance of its cost return from
+its budget, on the same scale. A constraint that is kept adds nothing.
 """
 
 from dataclasses import dataclass
@@ -15,12 +15,14 @@ from torch.distributions import Normal, kl_divergence
 from renet.models.actor_critic import Actor, Critics
 from renet.training import distributed
 from renet.training.config import NP3OCfg, value_at
-from renet.training.precision import computed_in, side_by_side
+from renet.training.precision import compute_in, side_by_side
 from renet.training.storage import PolicyRollout
 
 STD_FLOOR = 1e-3
-"""Below this spread a cost advantage is critic noise, not evidence, and is not amplified."""
+"""Smallest standard deviation by which an advantage is divided. Below it, a cost advantage is noise
+of the critic, which must not be amplified."""
 LEARNING_RATES = (1e-5, 1e-2)
+"""Smallest and largest learning rate of the actor."""
 
 
 def advantages(
@@ -31,73 +33,96 @@ def advantages(
     gamma: float,
     lam: float,
 ) -> Tensor:
-    """GAE of each column (Schulman et al. 2016), [T, N, K]; returns are these + value.
+    """Compute generalised advantage estimates of each column (Schulman et al. 2016).
 
     Args:
-        rewards_and_costs, value: [T, N, K]. last_value: [N, K], of the state after the last step.
-        done: [T, N] bool; nothing is carried over the end of an episode.
+        rewards_and_costs: Reward and costs of each step, [T, N, K].
+        value: Values of the states before each step, [T, N, K].
+        last_value: Values of the states after the last step, [N, K].
+        done: True where a step ended its episode, [T, N] bool. No value is carried across such a
+            step.
+        gamma: Discount per step.
+        lam: Lambda of the estimator.
+
+    Returns:
+        Advantages, [T, N, K]. Returns are the sum of these and `value`.
     """
-    result, running = torch.empty_like(rewards_and_costs), torch.zeros_like(last_value)
+    result = torch.empty_like(rewards_and_costs)
+    advantage = torch.zeros_like(last_value)
     next_value = last_value
     for step in reversed(range(rewards_and_costs.shape[0])):
+        # 1 where the episode goes on after this step, 0 where it ends with it.
         alive = (~done[step]).unsqueeze(-1).to(rewards_and_costs.dtype)
+        # TD error: r_t + gamma * V(s_{t+1}) - V(s_t).
         delta = rewards_and_costs[step] + gamma * alive * next_value - value[step]
-        running = delta + gamma * lam * alive * running
-        result[step] = running
+        # Advantage: delta_t + gamma * lambda * A_{t+1}.
+        advantage = delta + gamma * lam * alive * advantage
+        result[step] = advantage
         next_value = value[step]
     return result
 
 
 def reward_surrogate(ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
-    """PPO's clipped loss, to be minimised; ratio and advantage are [B]."""
-    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
-    return -torch.min(ratio * advantage, clipped * advantage).mean()
+    """Compute PPO's clipped loss, a scalar to be minimised; ratio and advantage are [B]."""
+    clipped_ratio = ratio.clamp(1.0 - clip, 1.0 + clip)
+    return -torch.min(ratio * advantage, clipped_ratio * advantage).mean()
 
 
 def cost_surrogate(ratio: Tensor, advantage: Tensor, clip: float) -> Tensor:
-    """L_i of each constraint, [K], from ratio [B] and normalised cost advantages [B, K]."""
+    """Compute L_i of each constraint, [K], from ratio [B] and normalised advantages [B, K]."""
     ratio = ratio.unsqueeze(-1)
-    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
-    return torch.max(ratio * advantage, clipped * advantage).mean(0)
+    clipped_ratio = ratio.clamp(1.0 - clip, 1.0 + clip)
+    return torch.max(ratio * advantage, clipped_ratio * advantage).mean(0)
 
 
 def violation(
     cost_return: Tensor, budget: Tensor, mean: Tensor, std: Tensor, gamma: float
 ) -> Tensor:
-    """V_i = ((1 - gamma)(J_i - d_i) + mu_i) / sigma_i, all [K]."""
+    """Compute V_i = ((1 - gamma)(J_i - d_i) + mu_i) / sigma_i; all tensors are [K]."""
     return ((1.0 - gamma) * (cost_return - budget) + mean) / std
 
 
 def clipped_value_loss(value: Tensor, old: Tensor, target: Tensor, clip: float) -> Tensor:
-    """Sum over columns of PPO's clipped value loss; all [B, K]."""
-    clipped = old + (value - old).clamp(-clip, clip)
-    return torch.max((value - target) ** 2, (clipped - target) ** 2).mean(0).sum()
+    """Compute PPO's clipped value loss, summed over columns; all tensors are [B, K]."""
+    clipped_value = old + (value - old).clamp(-clip, clip)
+    return torch.max((value - target) ** 2, (clipped_value - target) ** 2).mean(0).sum()
 
 
 @dataclass
 class Targets:
-    """What one rollout asks of the networks; rows are [T * N]."""
+    """Targets of the networks in one rollout of B = T * N transitions."""
 
     reward_advantage: Tensor
-    """[B], normalised."""
+    """Normalised advantages of the reward, [B]."""
     cost_advantage: Tensor
-    """[B, K], normalised."""
+    """Normalised advantages of the costs, [B, K]."""
     violation: Tensor
-    """[K]."""
+    """V_i of each constraint, [K]."""
     value_target: Tensor
-    """[B, 1 + K]."""
+    """Returns of the reward and of the costs, [B, 1 + K]."""
 
 
 def make_targets(
     rollout: PolicyRollout, last_value: Tensor, cfg: NP3OCfg, steps: float = 0.0
 ) -> Targets:
-    """Advantages, violations and returns of a rollout; statistics span all ranks."""
+    """Compute the targets of a rollout; means and deviations span all ranks.
+
+    Args:
+        rollout: The transitions.
+        last_value: Values of the states after the last step, [N, 1 + K].
+        cfg: Discount, lambda and budgets.
+        steps: Environment steps taken before the rollout, for budgets that follow a schedule.
+    """
     advantage = advantages(
         rollout.rewards_and_costs, rollout.value, last_value, rollout.done, cfg.gamma, cfg.lam
     ).flatten(0, 1)
     value_target = advantage + rollout.value.flatten(0, 1)
+
+    # Means and deviations with which the advantages are normalised; column 0 is the reward's.
     mean, variance = distributed.moments(advantage)
     std = variance.sqrt().clamp_min(STD_FLOOR)
+
+    # The costs' returns are compared with their budgets.
     cost_return = distributed.mean(value_target[:, 1:].mean(0))
     budgets = [value_at(budget, steps) for budget in cfg.cost_budget]
     budget = torch.tensor(budgets, device=advantage.device)
@@ -110,17 +135,29 @@ def make_targets(
 
 
 class NP3O:
-    """Optimises actor and critics on rollouts; owns their optimiser, rate and penalties."""
+    """Optimisation of actor and critics; holds their optimizer, learning rate and penalty."""
 
     def __init__(
         self, actor: Actor, critics: Critics, cfg: NP3OCfg, dtype: torch.dtype = torch.float32
     ) -> None:
-        """Set up for networks that are where they are to stay; critics learn in `dtype`."""
-        self.actor, self.critics, self.cfg, self.dtype = actor, critics, cfg, dtype
+        """Initialize the optimizer.
+
+        Args:
+            actor: The policy, on the device where it learns.
+            critics: The value functions, on the same device.
+            cfg: Settings of the algorithm.
+            dtype: Type in which the critics compute while they learn.
+        """
+        self.actor = actor
+        self.critics = critics
+        self.cfg = cfg
+        self.dtype = dtype
         self.parameters = [*actor.parameters(), *critics.parameters()]
-        self._entropy = self._desired_kl = 0.0
         self.cost_weight = cfg.cost_weight
-        # A tensor: adapting it on a GPU must not wait for the divergence to arrive on the host.
+        # Values of schedules, set at the beginning of each update.
+        self._entropy = 0.0
+        self._desired_kl = 0.0
+        # A tensor, so that adapting it on a GPU does not wait for the divergence on the host.
         rate = torch.tensor(cfg.learning_rate, device=self.parameters[0].device)
         groups = [
             {"params": list(actor.parameters()), "lr": rate},
@@ -130,17 +167,24 @@ class NP3O:
 
     @property
     def learning_rate(self) -> float:
-        """Current rate of the actor's Adam."""
-        return self.optimizer.param_groups[0]["lr"].item()
+        """Current learning rate of the actor."""
+        return self._rate.item()
 
     @learning_rate.setter
     def learning_rate(self, rate: float) -> None:
-        self.optimizer.param_groups[0]["lr"].fill_(rate)
+        self._rate.fill_(rate)
+
+    @property
+    def _rate(self) -> Tensor:
+        """Learning rate of the actor as the optimizer holds it, a scalar."""
+        return self.optimizer.param_groups[0]["lr"]
 
     def draw_orders(self, rollout: PolicyRollout) -> list[Tensor]:
-        """The order in which each epoch takes a rollout's transitions, [T * N] each."""
-        rows, device = rollout.log_prob.numel(), rollout.log_prob.device
-        return [torch.randperm(rows, device=device) for _ in range(self.cfg.num_learning_epochs)]
+        """Draw the order of a rollout's transitions in each epoch, each [T * N]."""
+        transitions = rollout.log_prob.numel()
+        device = rollout.log_prob.device
+        epochs = self.cfg.num_learning_epochs
+        return [torch.randperm(transitions, device=device) for _ in range(epochs)]
 
     def update(
         self,
@@ -150,87 +194,137 @@ class NP3O:
         iteration: int,
         steps: float = 0.0,
     ) -> dict[str, Tensor]:
-        """Learn from one rollout; mean losses by name. On a GPU nothing here waits for the device.
+        """Learn from one rollout. On a GPU nothing here waits for the device.
 
-        No random number is drawn here: on a CPU, supervision draws its own meanwhile.
+        This method draws no random numbers: on a CPU supervision draws its own at the same time.
 
         Args:
-            rollout: what the policy did. last_value: of the states after it, [N, 1 + K].
-            orders: of its transitions, one for each epoch (`draw_orders`).
-            iteration: with which the penalties' weight grows.
-            steps: environment steps taken before the rollout, for `Schedule` settings.
+            rollout: The transitions.
+            last_value: Values of the states after the last step, [N, 1 + K].
+            orders: Order of the transitions in each epoch (see `draw_orders`).
+            iteration: Number of updates before this one, with which the penalty grows.
+            steps: Environment steps taken before the rollout, for settings that follow a schedule.
+
+        Returns:
+            Mean losses over all gradient steps, by name.
         """
         self._entropy = value_at(self.cfg.entropy, steps)
         self._desired_kl = value_at(self.cfg.desired_kl, steps)
+        self._grow_penalty(iteration)
         targets = make_targets(rollout, last_value, self.cfg, steps)
         batch = rollout.flatten()
-        growth = self.cfg.cost_weight_growth**iteration
-        self.cost_weight = min(max(self.cfg.cost_weight, 1.0), self.cost_weight * growth)
-        # Every transition of a rollout was drawn with the same deviation.
+        # The deviation is no function of the state: all transitions were drawn with the same one.
         old_std = self.actor.log_std.detach().exp()
-        taken: list[dict[str, Tensor]] = []
-        with computed_in(self.dtype, self.critics):
+
+        # Take one gradient step for each mini-batch of each epoch.
+        history: list[dict[str, Tensor]] = []
+        with compute_in(self.dtype, self.critics):
             for order in orders:
                 for index in order.chunk(self.cfg.num_mini_batches):
-                    taken.append(self._step(batch, targets, index, old_std))
-        losses = {name: torch.stack([step[name] for step in taken]).mean() for name in taken[0]}
+                    history.append(self._step(batch, targets, index, old_std))
+
+        # Average the losses over gradient steps.
+        losses = {}
+        for name in history[0]:
+            losses[name] = torch.stack([step[name] for step in history]).mean()
         weight = torch.full((), self.cost_weight, dtype=torch.float64, device=old_std.device)
-        return losses | {"cost_weight": weight}
+        losses["cost_weight"] = weight
+        return losses
+
+    def _grow_penalty(self, iteration: int) -> None:
+        """Multiply the penalty by a factor that grows with the iteration, up to a weight of 1."""
+        limit = max(self.cfg.cost_weight, 1.0)
+        growth = self.cfg.cost_weight_growth**iteration
+        self.cost_weight = min(limit, self.cost_weight * growth)
 
     def _step(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor
     ) -> dict[str, Tensor]:
-        """One gradient step on the rows in `index`."""
+        """Take one gradient step on the transitions in `index`; returns losses by name."""
+        # Compute the gradients of actor and critics, which share no parameter.
         self.optimizer.zero_grad()
-        of_policy, of_value = side_by_side(
+        policy_losses, value_losses = side_by_side(
             partial(self._policy_gradient, batch, targets, index, old_std),
             partial(self._value_gradient, batch, targets, index),
         )
+
+        # Average them over ranks, and clip each network's on its own.
         distributed.average_gradients(self.parameters)
-        clip = partial(nn.utils.clip_grad_norm_, max_norm=self.cfg.max_grad_norm)
-        actor, critics = clip(self.actor.parameters()), clip(self.critics.parameters())
-        kl = distributed.mean(of_policy.pop("kl"))
+        limit = self.cfg.max_grad_norm
+        actor_norm = nn.utils.clip_grad_norm_(self.actor.parameters(), limit)
+        critics_norm = nn.utils.clip_grad_norm_(self.critics.parameters(), limit)
+
+        # Adapt the learning rate before the step, as rsl_rl does.
+        kl = distributed.mean(policy_losses.pop("kl"))
         self._adapt_rate(kl)
         self.optimizer.step()
-        rate = self.optimizer.param_groups[0]["lr"].clone()
-        norms = {"actor_grad_norm": actor, "critics_grad_norm": critics}
-        return of_policy | of_value | norms | {"kl": kl, "learning_rate": rate}
+        return {
+            **policy_losses,
+            **value_losses,
+            "actor_grad_norm": actor_norm,
+            "critics_grad_norm": critics_norm,
+            "kl": kl,
+            # A copy: the next gradient step changes the rate in place.
+            "learning_rate": self._rate.clone(),
+        }
 
     def _policy_gradient(
         self, batch: PolicyRollout, targets: Targets, index: Tensor, old_std: Tensor
     ) -> dict[str, Tensor]:
-        """The actor's gradients; returns losses and the divergence from the old policy."""
+        """Compute the actor's gradients; returns losses, and the divergence from the old policy."""
+        # Compare the probabilities of the actions with those at collection.
         distribution = self.actor.distribution(batch.proprioception[index], batch.latent[index])
         log_prob = distribution.log_prob(batch.action[index]).sum(-1)
         ratio = torch.exp(log_prob - batch.log_prob[index])
+
+        # Reward: PPO's clipped surrogate.
         surrogate = reward_surrogate(ratio, targets.reward_advantage[index], self.cfg.clip)
+
+        # Costs: relu(L_i + V_i). Its sign is that of all ranks' mean, so that a constraint is
+        # active on all ranks or on none.
         cost = cost_surrogate(ratio, targets.cost_advantage[index], self.cfg.clip)
         excess = cost + targets.violation
-        exceeded = distributed.mean(cost.detach()) + targets.violation > 0  # On all ranks or none.
-        penalty = self.cost_weight * (exceeded * excess).sum()
+        active = distributed.mean(cost.detach()) + targets.violation > 0
+        penalty = self.cost_weight * (active * excess).sum()
+
+        # Entropy bonus.
         entropy = distribution.entropy().sum(-1).mean()
+
         (surrogate + penalty - self._entropy * entropy).backward()
-        losses = {"surrogate": surrogate, "cost": penalty, "entropy": entropy}
         with torch.no_grad():
             old = Normal(batch.mean[index], old_std, validate_args=False)
-            losses["kl"] = kl_divergence(old, distribution).sum(-1).mean()
-        return {name: value.detach() for name, value in losses.items()}
+            kl = kl_divergence(old, distribution).sum(-1).mean()
+        return {
+            "surrogate": surrogate.detach(),
+            "cost": penalty.detach(),
+            "entropy": entropy.detach(),
+            "kl": kl,
+        }
 
     def _value_gradient(
         self, batch: PolicyRollout, targets: Targets, index: Tensor
     ) -> dict[str, Tensor]:
-        """The critics' gradients; returns their loss."""
+        """Compute the critics' gradients; returns their loss."""
         value = self.critics(batch.critic_observation[index])
-        old, target = batch.value[index], targets.value_target[index]
+        old = batch.value[index]
+        target = targets.value_target[index]
         loss = clipped_value_loss(value, old, target, self.cfg.clip)
         (self.cfg.value_loss * loss).backward()
         return {"value": loss.detach()}
 
     def _adapt_rate(self, kl: Tensor) -> None:
-        """Keep the actor's KL divergence per step near its target, as rsl_rl does."""
-        if self._desired_kl > 0:
-            rate, (low, high) = self.optimizer.param_groups[0]["lr"], LEARNING_RATES
-            slower, faster = (rate / 1.5).clamp_min(low), (rate * 1.5).clamp_max(high)
-            close = (kl > 0.0) & (kl < 0.5 * self._desired_kl)
-            adapted = torch.where(close, faster, rate)
-            rate.copy_(torch.where(kl > 2.0 * self._desired_kl, slower, adapted))
+        """Adapt the actor's learning rate to the KL divergence of a step, as rsl_rl does.
+
+        The rate falls where the divergence is more than twice the desired one, and rises where it
+        is less than half of it.
+        """
+        if self._desired_kl <= 0:
+            return
+        low, high = LEARNING_RATES
+        rate = self._rate
+        lower = (rate / 1.5).clamp_min(low)
+        higher = (rate * 1.5).clamp_max(high)
+        small = (kl > 0.0) & (kl < 0.5 * self._desired_kl)
+        large = kl > 2.0 * self._desired_kl
+        # In place and without branches, so that the host does not wait for a GPU.
+        rate.copy_(torch.where(large, lower, torch.where(small, higher, rate)))

@@ -1,4 +1,4 @@
-"""What a terminal shows while `renet train` runs: a bar, or a line now and then."""
+"""Progress of `renet train` in a terminal: a bar, or without a terminal a line each minute."""
 
 import math
 import time
@@ -16,43 +16,49 @@ from renet.training.metrics import LEVEL
 from renet.training.runner import RenetRunner
 
 LINE_EVERY = 60.0
-"""Seconds between two lines where there is no terminal to draw a bar on."""
+"""Time between two lines without a terminal, s."""
 RECENT = 20
-"""Iterations from which the time of those to come is estimated: batches grow."""
+"""Number of recent iterations from which the remaining time is estimated; batches grow, so that
+older ones were faster."""
 SPEED = "Perf/total_fps"
+"""Curve of the environment steps per second."""
 REWARD = "Train/mean_reward"
+"""Curve of the mean reward per episode."""
 
 
 class Report:
-    """Says how a run is doing, after each iteration; the bar is drawn inside `with`."""
+    """Report on a run after each iteration; a context manager that draws the bar."""
 
     def __init__(
         self, console: Console, runner: RenetRunner, iterations: int, deadline: float = math.inf
     ) -> None:
-        """Begin to report on a runner.
+        """Initialize the report.
 
         Args:
-            console: where to. runner: what trains.
-            iterations: after which it ends, in all. deadline: time of the monotonic clock at which
-            it ends if that comes first; if there is one, the bar shows time, not iterations.
+            console: Console to print on.
+            runner: Runner of the training.
+            iterations: Number of iterations at which the run ends, counted from its very first.
+            deadline: Time of the monotonic clock at which the run ends at the latest, s. If it is
+                finite, the bar shows time in place of iterations.
         """
-        self._console, self._runner = console, runner
-        self._first, self._last = runner.alg.iteration, iterations
-        self._begun, self._deadline = time.monotonic(), deadline
-        self._laps: deque[float] = deque([self._begun], RECENT + 1)
-        self._printed = -math.inf
+        self._console = console
+        self._runner = runner
+        self._first = runner.alg.iteration
+        self._last = iterations
+        self._start = time.monotonic()
+        self._deadline = deadline
+        self._lap_ends: deque[float] = deque([self._start], RECENT + 1)
+        self._line_time = -math.inf
         self._latest: dict[str, float] = {}
-        # A redrawn bar would be noise in a file.
-        self._live = (
-            Live(
+        # In a file a bar, which is redrawn all the time, would be noise.
+        self._live = None
+        if console.is_terminal:
+            self._live = Live(
                 console=console,
                 get_renderable=self.picture,
                 refresh_per_second=4,
                 redirect_stdout=False,
             )
-            if console.is_terminal
-            else None
-        )
 
     def __enter__(self) -> Self:
         if self._live:
@@ -64,66 +70,76 @@ class Report:
             self._live.stop()
 
     def iterate(self) -> None:
-        """Note that an iteration is done, and print a line if there is no bar and it is time."""
+        """Record the end of an iteration, and print a line without a terminal, once a minute."""
         now = time.monotonic()
-        self._laps.append(now)
-        # The newest value of each curve: a copy, for the bar is drawn on another thread.
+        self._lap_ends.append(now)
+        # The newest value of each curve. A copy, because the bar is drawn on another thread.
         self._latest = dict(getattr(self._runner.logger.writer, "latest", {}))
-        if self._live is None and now - self._printed >= LINE_EVERY:
-            self._printed = now
+        if self._live is None and now - self._line_time >= LINE_EVERY:
+            self._line_time = now
             line = "  ".join([*self._facts(), self._levels()])
             self._console.print(line.rstrip(), soft_wrap=True)
 
     def picture(self) -> Group:
-        """Two lines that fit into 80 columns: the bar with speed and time left, and the levels."""
-        share = self._share()
+        """Draw two lines of up to 80 columns: the bar with its facts, and the levels."""
+        progress = self._progress()
         row = Table.grid(padding=(0, 2, 0, 0), expand=True)
         row.add_column(ratio=1)
-        facts = [f"{share:4.0%}", *self._facts()]
+        facts = [f"{progress:4.0%}", *self._facts()]
         for _ in facts:
             row.add_column(no_wrap=True)
-        row.add_row(ProgressBar(total=1.0, completed=share), *map(Text, facts))
+        row.add_row(ProgressBar(total=1.0, completed=progress), *map(Text, facts))
         return Group(row, Text(self._levels(), no_wrap=True, overflow="ellipsis"))
 
     def _facts(self) -> list[str]:
-        """Iterations, steps, speed and time left."""
-        algorithm, latest = self._runner.alg, self._latest
-        timed = self._deadline < math.inf
-        facts = [
-            f"iteration {algorithm.iteration}" if timed else f"{algorithm.iteration}/{self._last}"
-        ]
+        """Format iterations, steps, speed and remaining time."""
+        algorithm = self._runner.alg
+        facts = []
+        if self._deadline < math.inf:
+            facts.append(f"iteration {algorithm.iteration}")
+        else:
+            facts.append(f"{algorithm.iteration}/{self._last}")
         facts.append(f"{algorithm.steps / 1e6:.2f} M steps")
-        if SPEED in latest:
-            facts.append(f"{latest[SPEED]:,.0f} steps/s")
-        left = self._left()
-        # Whole seconds; no number of days has more than nine digits.
-        known = timedelta(seconds=math.ceil(left)) if left < 1e9 else "-:--:--"
-        return [*facts, f"{known} left"]
+        if SPEED in self._latest:
+            facts.append(f"{self._latest[SPEED]:,.0f} steps/s")
+        remaining = self._remaining_time()
+        # A timedelta holds at most nine digits of days.
+        duration = timedelta(seconds=math.ceil(remaining)) if remaining < 1e9 else "-:--:--"
+        facts.append(f"{duration} left")
+        return facts
 
     def _levels(self) -> str:
-        """The level of each kind of tile, or where there are none the reward."""
-        latest = self._latest
-        levels = [(tag, level) for tag, level in sorted(latest.items()) if tag.startswith(LEVEL)]
+        """Format the level of each kind of tile, or the reward of a task without tiles."""
+        levels = []
+        for tag, level in sorted(self._latest.items()):
+            if tag.startswith(LEVEL):
+                levels.append(f"{tag.removeprefix(LEVEL)} {level:.1f}")
         if levels:
-            return " ".join(f"{tag.removeprefix(LEVEL)} {level:.1f}" for tag, level in levels)
-        return f"reward {latest[REWARD]:.2f}" if REWARD in latest else ""
+            return " ".join(levels)
+        if REWARD in self._latest:
+            return f"reward {self._latest[REWARD]:.2f}"
+        return ""
 
-    def _left(self) -> float:
-        """Seconds until the run ends; infinite if nobody can say yet."""
+    def _remaining_time(self) -> float:
+        """Estimate the time until the run ends, s; infinity before the first iteration is done."""
         now = time.monotonic()
-        ahead = self._last - self._runner.alg.iteration
-        laps = len(self._laps) - 1
+        iterations = self._last - self._runner.alg.iteration
+        laps = len(self._lap_ends) - 1
         by_iterations = math.inf
         if laps:
-            by_iterations = ahead * (self._laps[-1] - self._laps[0]) / laps
-            by_iterations -= now - self._laps[-1]
-        return max(min(by_iterations, self._deadline - now), 0.0)
+            by_iterations = iterations * (self._lap_ends[-1] - self._lap_ends[0]) / laps
+            by_iterations -= now - self._lap_ends[-1]
+        by_deadline = self._deadline - now
+        return max(min(by_iterations, by_deadline), 0.0)
 
-    def _share(self) -> float:
-        """How much of the run is done, 0 to 1: of its time if it is limited, else iterations."""
-        done = self._runner.alg.iteration - self._first
-        of_iterations = done / max(self._last - self._first, 1)
-        limit = self._deadline - self._begun
-        # Loading may have used the time up.
-        of_time = (time.monotonic() - self._begun) / limit if limit > 0.0 else 1.0
+    def _progress(self) -> float:
+        """Return the part of the run that is done, from 0 to 1: of its iterations or its time.
+
+        The larger of the two counts, because the run ends with whichever is reached first.
+        """
+        iterations = self._runner.alg.iteration - self._first
+        of_iterations = iterations / max(self._last - self._first, 1)
+        limit = self._deadline - self._start
+        # Loading may have used all of the time.
+        of_time = (time.monotonic() - self._start) / limit if limit > 0.0 else 1.0
         return min(max(of_iterations, of_time), 1.0)

@@ -1,6 +1,7 @@
-"""What a checkpoint says of its run: both configurations as JSON, and the way back from there."""
+"""Configurations as JSON in checkpoints, and their restoration from there."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
@@ -14,42 +15,60 @@ from renet.training.config import RenetRunnerCfg, to_tuples
 
 T = TypeVar("T")
 PLAIN = (bool, int, float, str)
-UNSAID = ("env.seed", "agent.experiment_name")
-"""Settings whose differences are said elsewhere."""
+"""Types of settings that JSON holds as they are."""
+SILENT = ("env.seed", "agent.experiment_name")
+"""Settings whose differences are reported elsewhere."""
 
 
-def described(value: Any) -> Any:
-    """A configuration as JSON: dataclasses as dictionaries, functions and types by their names."""
+def to_json(value: Any) -> Any:
+    """Convert a configuration to a JSON value.
 
-    def plain(item: Any) -> Any:
+    Dataclasses become objects; functions and types become their names.
+    """
+
+    def convert(item: Any) -> Any:
         if is_dataclass(item) and not isinstance(item, type):
             return {f.name: getattr(item, f.name) for f in fields(item)}
         if callable(item):
-            return f"{item.__module__}.{getattr(item, '__qualname__', type(item).__name__)}"
-        return list(item) if isinstance(item, set) else str(item)
+            # An object with `__call__` has no name of its own.
+            name = getattr(item, "__qualname__", type(item).__name__)
+            return f"{item.__module__}.{name}"
+        if isinstance(item, set):
+            return list(item)
+        return str(item)
 
-    return json.loads(json.dumps(value, default=plain))
+    return json.loads(json.dumps(value, default=convert))
 
 
-def differences(before: Any, now: Any, name: str) -> Iterator[str]:
-    """A line for each place where a run's JSON differs from the one it resumes, as deep as both go.
+def differences(old: Any, new: Any, name: str) -> Iterator[str]:
+    """Compare two JSON values, at all levels that both have.
 
-    `name` stands for both in these lines, with dots between levels.
+    Args:
+        old: Value of the run that is resumed.
+        new: Value of the run that begins.
+        name: Name of both, with dots between levels.
+
+    Yields:
+        A line for each difference.
     """
-    before, now = _by_name(before), _by_name(now)
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted(before.keys() | now.keys()):
-            pair = before.get(key, "absent"), now.get(key, "absent")
-            yield from differences(*pair, f"{name}.{key}")
-    elif before != now and name not in UNSAID:
-        yield f"{name} was {shorten(str(before), 80)}, now {shorten(str(now), 80)}"
+    old = _by_name(old)
+    new = _by_name(new)
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in sorted(old.keys() | new.keys()):
+            yield from differences(old.get(key, "absent"), new.get(key, "absent"), f"{name}.{key}")
+    elif old != new and name not in SILENT:
+        yield f"{name} was {shorten(str(old), 80)}, now {shorten(str(new), 80)}"
 
 
 def _by_name(value: Any) -> Any:
-    """A list of objects, such as a scene's sensors, as a dictionary by their names or places."""
+    """Convert a list of objects, such as a scene's sensors, to a dictionary.
+
+    Keys are the objects' names, or their positions where they have none. Other values are returned
+    as they are.
+    """
     if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
         return value
-    return {item.get("name", str(place)): item for place, item in enumerate(value)}
+    return {item.get("name", str(position)): item for position, item in enumerate(value)}
 
 
 ALLOWED = (
@@ -97,12 +116,13 @@ ALLOWED = (
     "env.sim.njmax",
     "env.terminations",
 )
-"""Settings, and groups of them, that a run takes over from a checkpoint it resumes: what shapes the
-policy. Where files are written, who is called and what is drawn is the command line's alone, for a
-checkpoint may be a stranger's."""
-OURS = {"agent": RenetRunnerCfg, "env": RenetEnvCfg}
-"""Classes of both configurations, whose fields ALLOWED is about."""
+"""Settings, and groups of them, that a run restores from the checkpoint that it resumes: those that
+shape the policy. All others, such as folders to write to, come from the command line alone, because
+a checkpoint may be a stranger's."""
+CONFIGURATIONS = {"agent": RenetRunnerCfg, "env": RenetEnvCfg}
+"""Classes of both configurations, whose fields ALLOWED lists."""
 BOUNDS = {
+    "env.actions.*.target_rate": (0.0, math.inf),
     "env.decimation": (1, 100),
     "env.episode_length_s": (0.1, 3600),
     "env.scene.num_envs": (1, 2**17),
@@ -122,57 +142,87 @@ BOUNDS = {
     "agent.num_steps_per_env": (1, 100_000),
     "*": (-1e10, 1e10),
 }
-"""Smallest and largest values of numbers that are taken over, by the first pattern that fits."""
+"""Smallest and largest restored number of a setting, by the first pattern that matches its name."""
 
 
-def restored(value: T, stored: Any, name: str) -> T:
-    """A configuration with the numbers, texts and sequences that were `described` of another one.
+def restore(value: T, stored: Any, name: str) -> T:
+    """Copy a configuration, with the settings of a stored one.
 
-    What only one of the two has stays as it is, and so do functions and whatever is not ALLOWED.
+    Settings that only one of the two has stay as they are, and so do functions and settings that
+    are not ALLOWED.
 
     Args:
-        value: the configuration. stored: the other one's description.
-        name: of the value, with dots between levels, such as `env.rewards`.
+        value: The configuration.
+        stored: JSON value of the other one (see `to_json`).
+        name: Name of the value, with dots between levels, such as `env.rewards`.
 
     Raises:
-        RenetError: a dataclass refuses a value, or a number is out of BOUNDS.
+        RenetError: A dataclass refuses a value, or a number is out of BOUNDS.
     """
     if isinstance(value, Enum):
         return value
     result: Any = value
     if isinstance(stored, dict) and isinstance(value, dict):
-        result = {
-            key: restored(item, stored[key], f"{name}.{key}") if key in stored else item
-            for key, item in value.items()
-        }
+        result = dict(value)
+        for key, item in value.items():
+            if key in stored:
+                result[key] = restore(item, stored[key], f"{name}.{key}")
     elif isinstance(stored, dict) and is_dataclass(value) and not isinstance(value, type):
-        names = [f.name for f in fields(value) if f.init and f.name in stored]
-        changes = {
-            key: restored(getattr(value, key), stored[key], f"{name}.{key}") for key in names
-        }
+        changes = {}
+        for field in fields(value):
+            if field.init and field.name in stored:
+                item = getattr(value, field.name)
+                path = f"{name}.{field.name}"
+                changes[field.name] = restore(item, stored[field.name], path)
         result = replace(value, **changes)
     elif isinstance(stored, list) and isinstance(value, list | tuple):
-        if not any(map(is_dataclass, value)):
-            result = type(value)(map(to_tuples, stored)) if allowed(stored, name) else value
-        elif len(stored) == len(value):
-            pairs = zip(value, stored, strict=True)
-            items = (restored(*pair, f"{name}.{place}") for place, pair in enumerate(pairs))
-            result = type(value)(items)
-    elif (isinstance(value, PLAIN) and (stored is None or isinstance(stored, PLAIN))) or (
-        value is None and isinstance(stored, bool | int | float)
-    ):
-        result = stored if allowed(stored, name) else value
+        result = _restore_sequence(value, stored, name)
+    elif _is_plain(value, stored) and is_allowed(stored, name):
+        result = stored
     return result
 
 
-def allowed(stored: Any, name: str) -> bool:
-    """Whether a checkpoint's setting is taken over; raises RenetError if it is out of bounds."""
+def _restore_sequence(value: Any, stored: list[Any], name: str) -> Any:
+    """Copy a list or tuple, with the settings of a stored one (see `restore`)."""
+    # Plain items are restored together, and may be more or fewer than before.
+    if not any(map(is_dataclass, value)):
+        if is_allowed(stored, name):
+            return type(value)(map(to_tuples, stored))
+        return value
+    # Dataclasses are restored one by one, if there are as many.
+    if len(stored) != len(value):
+        return value
+    items = []
+    for position, (item, stored_item) in enumerate(zip(value, stored, strict=True)):
+        items.append(restore(item, stored_item, f"{name}.{position}"))
+    return type(value)(items)
+
+
+def _is_plain(value: Any, stored: Any) -> bool:
+    """Return True if a setting and its stored value are plain: numbers, texts, or None."""
+    if value is None:
+        return isinstance(stored, bool | int | float)
+    return isinstance(value, PLAIN) and (stored is None or isinstance(stored, PLAIN))
+
+
+def is_allowed(stored: Any, name: str) -> bool:
+    """Return True if a checkpoint's setting may be restored.
+
+    Args:
+        stored: The stored value.
+        name: Name of the setting, with dots between levels.
+
+    Raises:
+        RenetError: A number is out of BOUNDS.
+    """
     part, _, rest = name.partition(".")
     setting = rest.partition(".")[0]
-    # What a task or an agent of another's adds of its own shapes the policy, too.
-    added = part in OURS and setting not in {f.name for f in fields(OURS[part])}
-    listed = any(name == known or name.startswith(f"{known}.") for known in ALLOWED)
-    if not added and not listed:
+    # Settings that somebody's own task or agent adds to ours shape the policy, too.
+    is_addition = False
+    if part in CONFIGURATIONS:
+        is_addition = setting not in {field.name for field in fields(CONFIGURATIONS[part])}
+    is_listed = any(name == known or name.startswith(f"{known}.") for known in ALLOWED)
+    if not is_addition and not is_listed:
         return False
     low, high = next(bounds for pattern, bounds in BOUNDS.items() if fnmatchcase(name, pattern))
     for number in numbers(stored):
@@ -185,7 +235,7 @@ def allowed(stored: Any, name: str) -> bool:
 
 
 def numbers(value: Any) -> Iterator[float]:
-    """All numbers of a JSON value, as deep as they are."""
+    """Yield all numbers of a JSON value, at all levels."""
     if isinstance(value, list | tuple):
         for item in value:
             yield from numbers(item)

@@ -1,4 +1,4 @@
-"""The training loop: rollouts, updates, checkpoints, and stopping on time."""
+"""Training loop: rollouts, updates, checkpoints, and a limit on time."""
 
 import os
 import time
@@ -23,7 +23,7 @@ from renet.training.algorithm import RenetAlgorithm
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import steps_per_env
 from renet.training.precision import keep_freed_memory, multiply_by_onednn
-from renet.training.provenance import described
+from renet.training.provenance import to_json
 from renet.version import code_version
 
 CHECKPOINTS = "checkpoints"
@@ -32,8 +32,8 @@ CHECKPOINTS = "checkpoints"
 class RenetRunner(OnPolicyRunner):
     """rsl_rl's runner with resumable checkpoints, growing batches and a time budget.
 
-    rsl_rl's own loop has one batch size and no end but its number of iterations; its logger and its
-    writers are used.
+    The loop replaces rsl_rl's, which has one batch size and ends only after a number of iterations.
+    Logger and writers are rsl_rl's.
     """
 
     alg: RenetAlgorithm  # type: ignore[assignment]
@@ -51,8 +51,8 @@ class RenetRunner(OnPolicyRunner):
             multiply_by_onednn()
         self._agent = deepcopy(train_cfg)
         self.stop = Event()
-        """Set by whoever wants training to stop, with a checkpoint, as soon as it can."""
-        # Keys rsl_rl reads unconditionally; constructing the algorithm consumes the class name.
+        """Request to stop as soon as possible, with a checkpoint; any thread may set it."""
+        # rsl_rl needs these keys, and removes the class name from the dictionary.
         train_cfg["algorithm"] |= {"class_name": self.algorithm, "rnd_cfg": None}
         super().__init__(env, train_cfg, log_dir, device)
         self.logger.git_status_repos = []
@@ -79,17 +79,19 @@ class RenetRunner(OnPolicyRunner):
         time_budget_s: float = np.inf,
         report: Callable[[], object] = lambda: None,
     ) -> Path | None:
-        """Train until so many more iterations are done, the time is up, or `stop` is set.
+        """Train until the iterations are done, the time is up, or `stop` is set.
 
         Args:
-            num_learning_iterations: at most. init_at_random_ep_len: spread the ends of episodes.
-            time_budget_s: seconds in which to end, with a checkpoint, after one iteration at least.
-            report: called after each iteration.
+            num_learning_iterations: Largest number of iterations.
+            init_at_random_ep_len: Start episodes at random ages, so that their ends are spread.
+            time_budget_s: Time in which to end with a checkpoint, s. At least one iteration is
+                done.
+            report: Function to call after each iteration.
 
         Returns:
-            The checkpoint that is left (on rank 0).
+            Folder of the last checkpoint, or None on ranks above 0.
         """
-        began = time.monotonic()
+        start = time.monotonic()
         if init_at_random_ep_len:
             self.env.episode_length_buf = torch.randint_like(
                 self.env.episode_length_buf, high=int(self.env.max_episode_length)
@@ -98,14 +100,18 @@ class RenetRunner(OnPolicyRunner):
         self.alg.model.train()
         distributed.broadcast(self.alg.model)
         self.open_log()
-        first, last, longest = self.alg.iteration, self.alg.iteration + num_learning_iterations, 0.0
+        first = self.alg.iteration
+        last = first + num_learning_iterations
+        longest = 0.0
         while self.alg.iteration < last:
-            lap = time.monotonic()
-            left = began + time_budget_s - lap
-            if self._agree(self.stop.is_set() or (longest > 0.0 and left < 2.0 * longest)):
+            # Leave time for one more iteration as long as the longest, and for its checkpoint.
+            lap_start = time.monotonic()
+            remaining = start + time_budget_s - lap_start
+            is_late = longest > 0.0 and remaining < 2.0 * longest
+            if self._any_rank(self.stop.is_set() or is_late):
                 break
             obs = self._iterate(obs, first, last)
-            longest = max(longest, time.monotonic() - lap)
+            longest = max(longest, time.monotonic() - lap_start)
             report()
             if self.alg.iteration % self.cfg["save_interval"] == 0 and self.alg.iteration < last:
                 self.save()
@@ -114,8 +120,9 @@ class RenetRunner(OnPolicyRunner):
         return newest
 
     def open_log(self) -> None:
-        """Begin to write curves, if there is a folder for them."""
-        self.cfg["logger"] = {  # Consumed.
+        """Open the files of the curves, if the run has a folder."""
+        # Anew for each call: rsl_rl removes the class name from the dictionary.
+        self.cfg["logger"] = {
             "class_name": "renet.training.metrics:CurvesWriter",
             "logger": self._agent["logger"],
             "project_name": self._agent["wandb_project"],
@@ -123,33 +130,44 @@ class RenetRunner(OnPolicyRunner):
         self.logger.init_logging_writer()
 
     def _iterate(self, obs: TensorDict, first: int, last: int) -> TensorDict:
-        """One rollout and one update, logged; returns the observations after it."""
+        """Collect one rollout, update, and log; returns the observations after it."""
+        # Collect a rollout, whose length follows from the batch size.
         start = time.monotonic()
-        fixed, batch_size = self._agent["num_steps_per_env"], self._agent["batch_size"]
-        steps = steps_per_env(fixed, batch_size, self.env.num_envs, self.alg.steps)
-        self.cfg["num_steps_per_env"] = steps  # Which rsl_rl's logger reads.
+        steps = steps_per_env(
+            self._agent["num_steps_per_env"],
+            self._agent["batch_size"],
+            self.env.num_envs,
+            self.alg.steps,
+        )
+        self.cfg["num_steps_per_env"] = steps  # rsl_rl's logger reads it.
         for _ in range(steps):
+            # A rollout that is not complete is dropped; the checkpoint is that of the last update.
             if self.stop.is_set() and not self.is_distributed:
-                return obs  # What the last update left is saved.
+                return obs
             obs, rewards, dones, extras = self.env.step(self.alg.act(obs))
-            # A sum below zero counts as zero: dying early never pays (Extreme Parkour).
+            # A sum below zero counts as zero, so that ending an episode early never pays
+            # (Extreme Parkour).
             rewards = rewards.clamp_min(0.0)
             costs = mdp.constraint_costs(cast(Any, self.env).unwrapped)
             self.alg.process_env_step(obs, rewards, dones, extras | {"costs": costs})
             self.logger.process_env_step(rewards, dones, extras, None)
-        collected = time.monotonic()
+
+        # Learn from it.
+        learning_start = time.monotonic()
         self.alg.compute_returns(obs)
         losses = self.alg.update()
         self._check_learning(losses, obs)
         self.current_learning_iteration = self.alg.iteration
+
+        # Log.
         self.logger.log(
             it=self.alg.iteration - 1,
             start_it=first,
             total_it=last,
-            collect_time=collected - start,
-            learn_time=time.monotonic() - collected,
+            collect_time=learning_start - start,
+            learn_time=time.monotonic() - learning_start,
             loss_dict=losses,
-            # The mean: the last value is that of a sawtooth.
+            # The mean over gradient steps, because the rate jumps from step to step.
             learning_rate=losses.pop("learning_rate", self.alg.np3o.learning_rate),
             action_std=self.alg.action_std,
             rnd_weight=None,
@@ -157,34 +175,36 @@ class RenetRunner(OnPolicyRunner):
         return obs
 
     def _check_learning(self, losses: dict[str, float], obs: Any) -> None:
-        """Stop before a policy that is no longer one is saved; raises RenetError.
+        """Raise RenetError if a loss is NaN or infinite, before the policy is saved.
 
-        What is not finite in a rollout shows in the losses: steps need no check of their own.
+        NaN or infinity in a rollout shows in the losses, so that steps need no check of their own.
         """
-        bad = [name for name, loss in losses.items() if not np.isfinite(loss)]
+        bad_losses = [name for name, loss in losses.items() if not np.isfinite(loss)]
         if not self.alg.action_std.isfinite().all():
-            bad.append("action noise")
-        if self._agree(bool(bad)):
-            if broken := self.alg.not_finite(obs):
-                raise RenetError(
-                    f"the task's {', '.join(broken)} became NaN or infinite in iteration "
-                    f"{self.alg.iteration}. Nothing of it was saved: mend the task, go on with "
-                    "--resume"
-                )
+            bad_losses.append("action noise")
+        if not self._any_rank(bool(bad_losses)):
+            return
+        bad_outputs = self.alg.not_finite(obs)
+        if bad_outputs:
             raise RenetError(
-                f"learning diverged in iteration {self.alg.iteration}: "
-                f"{', '.join(bad) or 'a loss'} is not finite. Nothing of it was saved: go on with "
-                "--resume and a smaller --agent.algorithm.learning-rate"
+                f"the task's {', '.join(bad_outputs)} became NaN or infinite in iteration "
+                f"{self.alg.iteration}. Nothing of it was saved: mend the task, go on with "
+                "--resume"
             )
+        raise RenetError(
+            f"learning diverged in iteration {self.alg.iteration}: "
+            f"{', '.join(bad_losses) or 'a loss'} is not finite. Nothing of it was saved: go on "
+            "with --resume and a smaller --agent.algorithm.learning-rate"
+        )
 
-    def _agree(self, stop: bool) -> bool:
-        """All ranks stop together: one that wants to decides for all."""
-        return bool(distributed.mean(torch.tensor(float(stop), device=self.device)) > 0)
+    def _any_rank(self, flag: bool) -> bool:
+        """Return True if a flag is set on any rank, so that all ranks decide alike."""
+        return bool(distributed.mean(torch.tensor(float(flag), device=self.device)) > 0)
 
     # Checkpoints.
 
     def save(self, *_: Any) -> Path | None:  # type: ignore[override]
-        """Write a checkpoint to the run's folder (rank 0 only); returns its folder."""
+        """Write a checkpoint and return its folder; None on ranks above 0, or without a folder."""
         if self.folder is None or self.gpu_global_rank != 0:
             return None
         algorithm = self.alg
@@ -200,54 +220,69 @@ class RenetRunner(OnPolicyRunner):
         environment["torch_rng"] = torch.get_rng_state()
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
-        optimizer = checkpoints.optimizer_tensors(algorithm.optimizers)
-        average = algorithm.average.module.state_dict()
-        weights = algorithm.model.state_dict()
-        checkpoint = Checkpoint(weights, optimizer, environment, state, average)
+        checkpoint = Checkpoint(
+            model=algorithm.model.state_dict(),
+            optimizer=checkpoints.optimizer_tensors(algorithm.optimizers),
+            environment=environment,
+            state=state,
+            average=algorithm.average.module.state_dict(),
+        )
         keep = self.cfg["keep_checkpoints"]
         return checkpoints.save(checkpoint, self.folder, algorithm.iteration, keep)
 
     def provenance(self) -> dict[str, Any]:
-        """Everything that shaped the policy: the task, both configurations, the code's version."""
+        """Return all that shaped the policy: task, both configurations, version of the code."""
         env = cast(Any, self.env).unwrapped
         settings = {"agent": self._agent, "env": getattr(env, "task_cfg", env.cfg)}
-        return {"task": self._agent["task"], **described(settings), "code": code_version()}
+        return {"task": self._agent["task"], **to_json(settings), "code": code_version()}
 
     def load(self, path: str, **_: Any) -> dict:  # type: ignore[override]
-        """Go on from a checkpoint folder; raises RenetError if it does not fit."""
+        """Continue from a checkpoint's folder; raises RenetError if it does not fit."""
         folder = checkpoints.find(Path(path))
-        algorithm, state = self.alg, checkpoints.load_state(folder)
+        algorithm = self.alg
+        state = checkpoints.load_state(folder)
         checkpoints.check_model(algorithm.model.cfg, state, folder)
         checkpoint = checkpoints.load(folder, self.device, algorithm.model)
         checkpoints.load_model(algorithm.model, checkpoint.model, folder)
         try:
-            self._go_on(checkpoint)
+            self._restore(checkpoint)
         except (KeyError, TypeError, ValueError) as error:
             raise RenetError(f"checkpoint {folder} is incomplete or damaged: {error}") from error
         return state
 
-    def _go_on(self, checkpoint: Checkpoint) -> None:
-        """Take over from a checkpoint whatever is not the model."""
-        algorithm, state = self.alg, checkpoint.state
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        """Restore all parts of a checkpoint but the model."""
+        algorithm = self.alg
+        state = checkpoint.state
+
+        # Optimizers. A setting that the user changed is not replaced by its adapted value.
         checkpoints.load_optimizers(algorithm.optimizers, checkpoint.optimizer)
-        before, now = state["agent"]["algorithm"], self._agent["algorithm"]
+        old = state["agent"]["algorithm"]
+        new = self._agent["algorithm"]
         for name in ("learning_rate", "cost_weight"):
-            if before[name] == now[name]:  # Else it was asked for anew.
+            if old[name] == new[name]:
                 setattr(algorithm.np3o, name, state[name])
-        algorithm.iteration = self.current_learning_iteration = state["iteration"]
+
+        # Counts, the average and the logger.
+        algorithm.iteration = state["iteration"]
+        self.current_learning_iteration = algorithm.iteration
         algorithm.steps = state["steps"]
         algorithm.average.load(checkpoint.exported, state.get("averaged", algorithm.iteration))
-        self.logger.tot_timesteps, self.logger.tot_time = state["steps"], state["seconds"]
+        self.logger.tot_timesteps = state["steps"]
+        self.logger.tot_time = state["seconds"]
+
+        # Random numbers of rank 0, the only one that saves; other ranks draw their own.
         environment = checkpoint.environment
-        torch_rng, cuda_rng = environment.pop("torch_rng"), environment.pop("cuda_rng", None)
-        if self.gpu_global_rank == 0:  # Others draw numbers of their own.
+        torch_rng = environment.pop("torch_rng")
+        cuda_rng = environment.pop("cuda_rng", None)
+        if self.gpu_global_rank == 0:
             torch.set_rng_state(torch_rng.cpu())
             if cuda_rng is not None and self.device.startswith("cuda"):
                 torch.cuda.set_rng_state(cuda_rng.cpu(), self.device)
         self.restore_curriculum(environment)
 
     def restore_curriculum(self, state: dict[str, torch.Tensor]) -> None:
-        """Put the robots on the levels of a checkpoint's environment, if it kept any."""
+        """Put the robots on the levels of a checkpoint's environment, unless it is empty."""
         if state:
             mdp.load_curriculum_state(cast(Any, self.env).unwrapped, state, self.alg.steps)
             cast(Any, self.env).reset()

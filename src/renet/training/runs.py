@@ -1,4 +1,4 @@
-"""Folders of runs: where a new one begins, which one goes on, and how one is stopped."""
+"""Folders of new and resumed runs, and the signals that stop one."""
 
 import signal
 import threading
@@ -17,27 +17,46 @@ from renet.training.runner import CHECKPOINTS
 
 
 def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
-    """The run that goes on from a checkpoint; None where a new one begins.
+    """Return the folder of the run that continues from a checkpoint, or None for a new run.
 
-    A new one begins without a checkpoint, from one that is not its run's newest or in no run's
-    folder, and where `root`, which is `--log-root`, is not the run's.
+    A new run begins without a checkpoint, from one that is not its run's newest or in no run's
+    folder, and if the run is not below `root`.
+
+    Args:
+        checkpoint: Folder of the checkpoint.
+        root: Folder of all runs that the user chose by `--log-root`, or None.
     """
     if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
         return None
     run = checkpoint.parent.parent
-    elsewhere = root is not None and run.resolve().parent.parent != root.resolve()
-    newest = checkpoints.checkpoints(checkpoint.parent)[-1:]  # None of a copy with another name.
-    return None if elsewhere or newest != [checkpoint] else run
+    if root is not None and run.resolve().parent.parent != root.resolve():
+        return None
+    # Empty for a copy under another name than a checkpoint's.
+    newest = checkpoints.checkpoints(checkpoint.parent)[-1:]
+    return run if newest == [checkpoint] else None
 
 
 def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
-    """Create `root/experiment/date_time_name`, by default in `logs`; raises RenetError."""
-    if "/" in name or not name.isprintable():  # A stranger's checkpoint may hold any.
+    """Create the folder `root/experiment/date_time_name` of a new run.
+
+    Args:
+        root: Folder of all runs, by default `logs`.
+        experiment: Name of the experiment.
+        name: Name of the run, or an empty text.
+
+    Raises:
+        RenetError: The name is a path, or the folder cannot be created.
+    """
+    # The name may come from a stranger's checkpoint.
+    if "/" in name or not name.isprintable():
         raise RenetError(f"agent.run-name must be no path, got {name!r}")
     root = root or LOGS
-    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S") + (f"_{name}" if name else "")
-    # A second number for runs begun in the same second.
-    for folder in chain([stamp], (f"{stamp}_{n}" for n in count(2))):
+    stem = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    if name:
+        stem += f"_{name}"
+    # Runs that begin in the same second get a number.
+    candidates = chain([stem], (f"{stem}_{number}" for number in count(2)))
+    for folder in candidates:
         try:
             return new_folder(root / experiment / folder)
         except FileExistsError as error:
@@ -51,27 +70,33 @@ def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
 
 
 def resolve_resume(resume: str, root: Path | None, experiment: str) -> Path:
-    """The checkpoint folder that `--resume` names; raises RenetError if there is none."""
+    """Find the checkpoint that `--resume` names; raises RenetError if there is none."""
     return checkpoints.find(resumed_folder(resume, root, experiment))
 
 
 @contextmanager
 def signals(stop: Callable[[int], None]) -> Iterator[None]:
-    """Call `stop` with the number of the first Ctrl-C or TERM; the next one acts as ever."""
-    if threading.current_thread() is not threading.main_thread():  # It alone hears signals.
+    """Context in which the first Ctrl-C or TERM calls `stop` with the signal's number.
+
+    The second signal acts as it does outside the context.
+    """
+    # Python handles signals on the main thread alone.
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before: dict[int, Any] = {}
+    old_handlers: dict[int, Any] = {}
+
+    def restore_handlers() -> None:
+        for number, handler in old_handlers.items():
+            signal.signal(number, handler)
 
     def handle(number: int, _: Any) -> None:
-        for each, handler in before.items():
-            signal.signal(each, handler)
+        restore_handlers()
         stop(number)
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        before[number] = signal.signal(number, handle)
+        old_handlers[number] = signal.signal(number, handle)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        restore_handlers()

@@ -16,133 +16,166 @@ from renet.models.him import target_view
 from renet.models.renet import RENet
 from renet.training import distributed
 from renet.training.config import SupervisionCfg, value_at
-from renet.training.precision import computed_in, side_by_side
+from renet.training.precision import compute_in, side_by_side
 from renet.training.storage import TickRollout
 
+LEARNERS = ("op", "vp", "detector")
+"""Networks trained by supervision: both estimators with their HIM, and the anomaly detector."""
 AUTOENCODER_SHARE = 0.4
-"""Largest share of a mini-batch's image pairs: with few robots, whose pairs are much alike, the
-autoencoder would else learn from each and take longer than both estimators."""
+"""Largest share of a mini-batch's image pairs that the autoencoder learns from. A few robots have
+few pairs, all much alike: from all of them it would learn longer than both estimators together."""
 GRASS_SHARE = 0.15
-"""Share of the detector's image pairs with grass; with twice as many it notices less else."""
+"""Share of the detector's image pairs with grass. With twice as many it misses other faults."""
 GRASS_BLADES = 20
-"""Most blades in view: `tall_grass` at severity 2 of 5."""
+"""Largest number of blades in view: the fault `tall_grass` at severity 2 of 5."""
 GRASS_VIEWS = 512
-"""Different views of blades."""
-
-
-PARTS = ("op", "vp", "detector")
-"""What learns by supervision; each from some of the data, or not at all."""
+"""Number of different views of blades."""
 
 
 @dataclass
 class MiniBatch:
-    """Some environments of a rollout, and what is to be learnt from them."""
+    """Some environments of a rollout, and the networks that learn from them."""
 
     index: Tensor
-    """The environments, [B]."""
+    """Environments, [B]."""
     op: Tensor
     """Those with ticks that train OP, [<= B]."""
     vp: Tensor
     """Those with ticks that train VP, [<= B]."""
     images: int
     """Number of ticks with an image."""
-    learning: list[str]
-    """The `PARTS` that learn from this mini-batch on any rank."""
+    learners: list[str]
+    """The `LEARNERS` for which any rank has data in this mini-batch."""
 
 
 class Supervision:
-    """Trains both estimators, their HIM and the autoencoder; owns their optimiser."""
+    """Supervised learning of both estimators, their HIM and the autoencoder."""
 
     def __init__(
         self, model: RENet, cfg: SupervisionCfg, dtype: torch.dtype = torch.float32
     ) -> None:
-        """Set up for a model that is where it is to stay; its depth embedding learns in `dtype`."""
-        self.model, self.cfg, self.dtype = model, cfg, dtype
+        """Initialize the optimizer.
+
+        Args:
+            model: All networks, on the device where they learn.
+            cfg: Settings of supervision.
+            dtype: Type in which the depth embedding computes while it learns.
+        """
+        self.model = model
+        self.cfg = cfg
+        self.dtype = dtype
         self.parameters = model.supervised_parameters()
-        modules = (model.op, model.op_him), (model.vp, model.vp_him), (model.autoencoder,)
         self._parts = {
-            part: [p for module in of_part if module for p in module.parameters()]
-            for part, of_part in zip(PARTS, modules, strict=True)
+            "op": _parameters(model.op, model.op_him),
+            "vp": _parameters(model.vp, model.vp_him),
+            "detector": _parameters(model.autoencoder),
         }
-        # Apart: likelihoods must not shorten the estimators' steps.
-        likelihoods = (model.autoencoder, model.vp.map_error_head)
-        # In order, as no set of tensors is: a norm's last bit depends on it.
-        self._apart = dict.fromkeys(p for m in likelihoods if m for p in m.parameters())
+        # Likelihoods have large gradients, which are clipped on their own so that they do not
+        # shorten the estimators' steps. A dictionary, because a set has no fixed order, on which
+        # the last bit of a gradient's norm depends.
+        likelihoods = _parameters(model.autoencoder, model.vp.map_error_head)
+        self._likelihoods = dict.fromkeys(likelihoods)
         if model.cfg.detector == "variance":
             self._grass = draw_grass().to(self.parameters[0].device)
         rate = value_at(cfg.learning_rate, 0.0)
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
     def update(self, rollout: TickRollout, steps: float = 0.0) -> dict[str, Tensor]:
-        """Learn from one rollout's ticks, before which `steps` environment steps were taken.
+        """Learn from one rollout. This waits for a GPU once in each epoch, and at the end.
 
-        A GPU is waited for once in each epoch, and at the end.
+        Args:
+            rollout: The ticks.
+            steps: Environment steps taken before the rollout, for a learning rate that follows a
+                schedule.
 
         Returns:
-            Mean losses by name, and of each HIM the prototypes' effective rank and usage.
+            Mean losses over all gradient steps by name, and of each HIM the effective rank and the
+            usage of its prototypes.
         """
         self.optimizer.param_groups[0]["lr"] = value_at(self.cfg.learning_rate, steps)
-        totals: dict[str, list[Tensor]] = {}
-        with computed_in(self.dtype, self.model.vp.depth):
+
+        # Take one gradient step for each mini-batch of each epoch.
+        history: dict[str, list[Tensor]] = {}
+        with compute_in(self.dtype, self.model.vp.depth):
             for _ in range(self.cfg.num_learning_epochs):
                 for batch in self.draw_mini_batches(rollout):
                     for name, loss in self._step(rollout, batch).items():
-                        totals.setdefault(name, []).append(loss)
-        losses = {name: torch.stack(values).mean() for name, values in totals.items()}
+                        history.setdefault(name, []).append(loss)
+
+        # Average the losses over the gradient steps that had them.
+        losses = {name: torch.stack(values).mean() for name, values in history.items()}
         for name in ("op", "vp"):
-            him = getattr(self.model, f"{name}_him")
             if f"{name}_him" in losses:
-                losses |= {f"{name}_him_rank": him.effective_rank(), f"{name}_him_usage": him.usage}
+                him = getattr(self.model, f"{name}_him")
+                losses[f"{name}_him_rank"] = him.effective_rank()
+                losses[f"{name}_him_usage"] = him.usage
         return losses
 
     @torch.no_grad()
     def draw_mini_batches(self, rollout: TickRollout) -> list[MiniBatch]:
-        """Share a rollout's environments out at random, for one epoch.
+        """Divide a rollout's environments into random mini-batches, for one epoch.
 
-        The host must know the sizes of selections. It fetches all at once: to select by masks would
-        wait for a GPU each time.
+        The host must know the sizes of all selections. It fetches them from a GPU at once, because
+        each selection by a mask would wait for the device.
         """
-        op = self._ticks_that_train("op", rollout).any(dim=0)
-        vp = self._ticks_that_train("vp", rollout).any(dim=0)
+        op = self._training_ticks("op", rollout).any(dim=0)
+        vp = self._training_ticks("vp", rollout).any(dim=0)
         images = rollout.has_image.sum(dim=0)
-        per_environment = torch.stack((op, vp, images)).double()  # As PARTS are ordered.
         order = torch.randperm(len(op), device=op.device)
         indices = order.chunk(self.cfg.num_mini_batches)
-        here = torch.stack([per_environment[:, index].sum(dim=-1) for index in indices])
-        on_any_rank = distributed.mean(here)
-        sizes = torch.stack((here, on_any_rank), dim=1).tolist()
-        return [
-            MiniBatch(
-                index=index,
-                op=index[_places(op[index], int(own[0]))],
-                vp=index[_places(vp[index], int(own[1]))],
-                images=int(own[2]),
-                learning=[part for part, size in zip(PARTS, shared, strict=True) if size > 0],
-            )
-            for index, (own, shared) in zip(indices, sizes, strict=True)
-        ]
 
-    def _ticks_that_train(self, name: str, rollout: TickRollout) -> Tensor:
-        """True where a tick trains the estimator `name`, op or vp, [K, N] bool."""
-        if self.model.cfg.perception.replace("oracle", "vp") not in ("renet", name):
+        # Count what each learner finds in each mini-batch: [mini-batches, learners].
+        per_environment = torch.stack((op, vp, images)).double()  # In the order of LEARNERS.
+        local = torch.stack([per_environment[:, index].sum(dim=-1) for index in indices])
+        mean = distributed.mean(local)
+        sizes = torch.stack((local, mean), dim=1).tolist()
+
+        batches = []
+        for index, (local_sizes, mean_sizes) in zip(indices, sizes, strict=True):
+            op_size, vp_size, image_count = map(int, local_sizes)
+            # A mean above 0 says that some rank has data, so that all ranks agree on it.
+            learners = [name for name, size in zip(LEARNERS, mean_sizes, strict=True) if size > 0]
+            batch = MiniBatch(
+                index=index,
+                op=index[_true_indices(op[index], op_size)],
+                vp=index[_true_indices(vp[index], vp_size)],
+                images=image_count,
+                learners=learners,
+            )
+            batches.append(batch)
+        return batches
+
+    def _training_ticks(self, name: str, rollout: TickRollout) -> Tensor:
+        """Return a mask of the ticks that train the estimator `name` (op or vp), [K, N] bool."""
+        # The oracle is a VP that sees the true height map.
+        perception = self.model.cfg.perception.replace("oracle", "vp")
+        if perception not in ("renet", name):
             return torch.zeros_like(rollout.op_mask)
         if self.cfg.estimator_data == "all":
             return torch.ones_like(rollout.op_mask)
         return rollout.op_mask if name == "op" else ~rollout.op_mask
 
     def _step(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
-        """One gradient step; returns the losses."""
+        """Take one gradient step; returns losses by name."""
+        # Compute the gradients of VP beside all others, with which it shares no parameter.
         self.optimizer.zero_grad()
-        rest, vp = side_by_side(
+        blind_losses, vp_losses = side_by_side(
             partial(self._gradient, self._blind_losses, rollout, batch),
             partial(self._gradient, self._vp_losses, rollout, batch),
         )
-        distributed.average_gradients([p for part in batch.learning for p in self._parts[part]])
-        estimators = [p for p in self.parameters if p not in self._apart]
-        for parameters in (estimators, self._apart):
-            nn.utils.clip_grad_norm_(parameters, self.cfg.max_grad_norm)
+
+        # Average the gradients of the learners over ranks.
+        parameters = []
+        for name in batch.learners:
+            parameters += self._parts[name]
+        distributed.average_gradients(parameters)
+
+        # Clip the estimators' gradients, and on their own those of likelihoods.
+        estimators = [p for p in self.parameters if p not in self._likelihoods]
+        nn.utils.clip_grad_norm_(estimators, self.cfg.max_grad_norm)
+        nn.utils.clip_grad_norm_(self._likelihoods, self.cfg.max_grad_norm)
         self.optimizer.step()
-        return rest | vp
+        return blind_losses | vp_losses
 
     def _gradient(
         self,
@@ -150,66 +183,98 @@ class Supervision:
         rollout: TickRollout,
         batch: MiniBatch,
     ) -> dict[str, Tensor]:
-        """Go back through the sum of some terms, scaled as `SupervisionCfg` says; their values."""
-        velocity, height = self.cfg.velocity_scale**2, self.cfg.height_scale**2
-        weights = {"velocity": velocity, "feet_height": height, "height_map": height}
-        weights["far_map"] = height
+        """Compute the gradients of a sum of losses, scaled as `SupervisionCfg` says.
+
+        Args:
+            terms: Function that returns the losses by name.
+            rollout: The ticks.
+            batch: Environments to learn from.
+
+        Returns:
+            The losses, detached and not scaled.
+        """
+        # A scale of the quantity is a weight of its squared error.
+        weights = {
+            "velocity": self.cfg.velocity_scale**2,
+            "feet_height": self.cfg.height_scale**2,
+            "height_map": self.cfg.height_scale**2,
+            "far_map": self.cfg.height_scale**2,
+        }
         losses = terms(rollout, batch)
         if losses:
-            scaled = [loss * weights.get(name[3:], 1.0) for name, loss in losses.items()]
-            torch.stack(scaled).sum().backward()
+            weighted = []
+            for name, loss in losses.items():
+                head = name[len("vp_") :]
+                weighted.append(loss * weights.get(head, 1.0))
+            torch.stack(weighted).sum().backward()
         return {name: loss.detach() for name, loss in losses.items()}
 
     def _blind_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
-        """Terms that share no parameter with VP's."""
+        """Compute the losses of OP and of the detector, which share no parameter with VP's."""
         losses = self._losses_of("op", rollout, batch.op)
         return losses | self._anomaly_losses(rollout, batch)
 
     def _vp_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
+        """Compute the losses of VP."""
         return self._losses_of("vp", rollout, batch.vp)
 
     def _losses_of(self, name: str, rollout: TickRollout, index: Tensor) -> dict[str, Tensor]:
-        """`estimator_losses` in the environments of `index`.
+        """Compute `estimator_losses` in the environments `index`, [B].
 
-        Nothing is returned where there are none: gradients of zero would let Adam's momentum move
-        an estimator that does not learn.
+        Without environments the result is empty. Gradients of zero would not do: Adam's momentum
+        would move an estimator that does not learn.
         """
-        return self.estimator_losses(name, rollout.environments(index)) if len(index) else {}
+        if len(index) == 0:
+            return {}
+        return self.estimator_losses(name, rollout.environments(index))
 
     def estimator_losses(self, name: str, rollout: TickRollout) -> dict[str, Tensor]:
-        """Every term of the loss of the estimator `name`, op or vp, over the ticks that train it.
+        """Compute all losses of an estimator over the ticks that train it.
+
+        Args:
+            name: Estimator, op or vp.
+            rollout: The ticks.
 
         Returns:
-            Named scalars; absent heads are absent.
+            Scalars by name, such as `vp_height_map`; a head that the model lacks has none.
         """
-        counts = self._ticks_that_train(name, rollout).float()
-        estimator, him = getattr(self.model, name), getattr(self.model, f"{name}_him")
-        initial = getattr(rollout, f"latent_{name}")[0]
-        # OP does not look at images.
-        frames = rollout.frames.float() if name == "vp" else rollout.frames
-        images = frames, rollout.has_image
-        latent = estimator.unroll(rollout.history, *images, initial, rollout.fresh)
+        counts = self._training_ticks(name, rollout).float()
+        estimator = getattr(self.model, name)
+        him = getattr(self.model, f"{name}_him")
 
         def mean(loss: Tensor) -> Tensor:
-            """Over ticks that train the estimator, of [K, B, ...]."""
+            """Average a loss [K, B, ...] over the ticks that train the estimator."""
             return (loss.mean(-1) * counts).sum() / counts.sum().clamp_min(1.0)
 
-        losses, squares = {}, {}
-        for head, predicted in estimator.predict(latent).items():
-            squares[head] = (predicted - getattr(rollout, head)).square()
+        # Replay the estimator's memory. OP reads no images, which need no conversion for it.
+        frames = rollout.frames.float() if name == "vp" else rollout.frames
+        initial = getattr(rollout, f"latent_{name}")[0]
+        latent = estimator.unroll(
+            rollout.history, frames, rollout.has_image, initial, rollout.fresh
+        )
+
+        # Heads: mean squared errors.
+        losses = {}
+        squares = {}
+        for head, prediction in estimator.predict(latent).items():
+            squares[head] = (prediction - getattr(rollout, head)).square()
             losses[f"{name}_{head}"] = mean(squares[head])
+
+        # Error of the height map: Gaussian likelihood, which does not train the map itself.
         if name == "vp" and estimator.map_error_head is not None:
             log_variance = estimator.map_log_variance(latent)
-            scaled = squares["height_map"].detach() / log_variance.exp()
-            losses["vp_map_nll"] = mean(0.5 * (scaled + log_variance))
+            ratio = squares["height_map"].detach() / log_variance.exp()
+            losses["vp_map_nll"] = mean(0.5 * (ratio + log_variance))
+
+        # HIM: latents against the states one control step later, within the same episode.
         if him is not None:
-            paired = (counts * rollout.next_valid).flatten()
-            following = target_view(rollout.next_proprioception, rollout.next_velocity)
-            losses[f"{name}_him"] = him(latent.flatten(0, 1), following.flatten(0, 1), paired)
+            pairs = (counts * rollout.next_valid).flatten()
+            target = target_view(rollout.next_proprioception, rollout.next_velocity)
+            losses[f"{name}_him"] = him(latent.flatten(0, 1), target.flatten(0, 1), pairs)
         return losses
 
     def _anomaly_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
-        """The detector's losses on some of a mini-batch's image pairs, randomly drawn."""
+        """Compute the detector's losses on a random sample of a mini-batch's image pairs."""
         if not batch.images:
             return {}
         pairs = self._draw_pairs(rollout, batch)
@@ -218,31 +283,58 @@ class Supervision:
         return self.model.autoencoder.loss(pairs)
 
     def _draw_pairs(self, rollout: TickRollout, batch: MiniBatch) -> Tensor:
-        """Some of a mini-batch's image pairs, [B, 2, 48, 64], randomly drawn."""
+        """Draw a random sample of a mini-batch's image pairs, [B, 2, 48, 64]."""
         count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * batch.images))
-        drawn = torch.randperm(batch.images, device=batch.index.device)[:count]
-        seen = rollout.has_image[:, batch.index]
-        place = _places(seen.flatten(), batch.images)[drawn]
-        tick, robot = place // seen.shape[1], place % seen.shape[1]
-        return rollout.frames[tick, batch.index[robot]].float()
+        sample = torch.randperm(batch.images, device=batch.index.device)[:count]
+        # Positions of the sample among all ticks and environments of the mini-batch.
+        has_image = rollout.has_image[:, batch.index]
+        position = _true_indices(has_image.flatten(), batch.images)[sample]
+        tick = position // has_image.shape[1]
+        environment = batch.index[position % has_image.shape[1]]
+        return rollout.frames[tick, environment].float()
 
 
-def _places(mask: Tensor, count: int) -> Tensor:
-    """Where a mask [B] is true, [count]; as it is known how often, a GPU is not waited for."""
+def _parameters(*modules: nn.Module | None) -> list[nn.Parameter]:
+    """List the parameters of all modules that are not None."""
+    parameters: list[nn.Parameter] = []
+    for module in modules:
+        if module is not None:
+            parameters += module.parameters()
+    return parameters
+
+
+def _true_indices(mask: Tensor, count: int) -> Tensor:
+    """Return the indices [count] at which a mask [B] is true.
+
+    The caller knows their number, so that this does not wait for a GPU to count them.
+    """
     return torch.nonzero_static(mask, size=count).squeeze(-1)
 
 
 def draw_grass(seed: int = 0) -> Tensor:
-    """Depth of blades alone, [512, 48, 64]: 1 where there are none, 0 where one is not measured."""
+    """Draw random views of blades of grass alone, [512, 48, 64].
+
+    Pixels are depths in [0, 1]: 1 where there is no blade, 0 where one is not measured.
+    """
     rng = np.random.default_rng(seed)
-    nothing = Frames.healthy(np.ones((1, *DEPTH_SHAPE), np.float32))
+    background = Frames.healthy(np.ones((1, *DEPTH_SHAPE), np.float32))
     counts = rng.integers(1, GRASS_BLADES + 1, GRASS_VIEWS)
-    views = [TallGrass(count, [rng]).corrupt(nothing, np.zeros(1)).image[0] for count in counts]
+    views = []
+    for count in counts:
+        grass = TallGrass(count, [rng])
+        views.append(grass.corrupt(background, np.zeros(1)).image[0])
     return torch.from_numpy(np.stack(views))
 
 
 def grow_grass(pairs: Tensor, views: Tensor) -> Tensor:
-    """Put blades before the first 15 % of image pairs [B, 2, 48, 64], other ones in each image."""
+    """Put grass before the first 15 % of image pairs, each image with a random view of blades.
+
+    Args:
+        pairs: Image pairs, [B, 2, 48, 64].
+        views: Views of blades (see `draw_grass`), [V, 48, 64].
+    """
     count = round(GRASS_SHARE * len(pairs))
-    drawn = torch.randint(len(views), (count, FRAMES), device=pairs.device)
-    return torch.cat([torch.minimum(pairs[:count], views[drawn]), pairs[count:]])
+    choice = torch.randint(len(views), (count, FRAMES), device=pairs.device)
+    # The nearer surface hides the other one.
+    overgrown = torch.minimum(pairs[:count], views[choice])
+    return torch.cat([overgrown, pairs[count:]])

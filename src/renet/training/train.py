@@ -35,7 +35,7 @@ from renet.training.configuration import PARTS, configured, options_of, task_of
 from renet.training.films import Films, filming
 from renet.training.metrics import write_run_report
 from renet.training.progress import Report
-from renet.training.provenance import described, differences, restored
+from renet.training.provenance import differences, restore, to_json
 from renet.training.runner import RenetRunner
 from renet.training.runs import new_run, resolve_resume, resumed_run, signals
 from renet.version import code_version
@@ -124,9 +124,9 @@ class TrainCfg(TrainOptions):
         stored = state["env"]
         if cfg.task != state.get("task"):
             stored = {"scene": {"num_envs": stored.get("scene", {}).get("num_envs")}}
-        agent = restored(cfg.agent, state["agent"], "agent")
+        agent = restore(cfg.agent, state["agent"], "agent")
         agent = replace(agent, task=cfg.task, experiment_name=cfg.agent.experiment_name)
-        return replace(cfg, env=restored(cfg.env, stored, "env"), agent=agent)
+        return replace(cfg, env=restore(cfg.env, stored, "env"), agent=agent)
 
 
 def train(cfg: TrainCfg) -> Path | None:
@@ -278,6 +278,6 @@ def show(cfg: RecipeCfg) -> None:
         settings = checkpoints.load_state(checkpoints.find(cfg.checkpoint))
     else:
         run = TrainCfg.from_task(cfg.task)
-        configurations = described({"agent": run.agent, "env": run.env})
+        configurations = to_json({"agent": run.agent, "env": run.env})
         settings = {"task": cfg.task, **configurations, "code": code_version()}
     print(json.dumps(settings, indent=1))

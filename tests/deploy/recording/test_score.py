@@ -124,7 +124,7 @@ def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
         for colour, _ in BANDS:
             assert page.count(f"fill: {colour}") >= 4, "three panels and the legend"
         assert page.count("stroke: #a3121f") == 6, "two onsets in three panels"
-        reason = next(line for line in page.splitlines() if "op: no &lt;new&gt; image" in line)
+        reason = next(line for line in page.splitlines() if "blind: no &lt;new&gt; image" in line)
         assert "text-anchor: end" in reason, "else a late one leaves the picture"
         hostile = replace(flight, header={"bundle": "$\\frac{$<script>", "beta": 1e14})
         assert "&lt;script&gt;" in drawn(hostile, [], tmp_path)

@@ -5,7 +5,7 @@ import pytest
 
 from renet.evaluation import metrics
 from renet.evaluation.studies import fault_metrics
-from renet.evaluation.studies.benchmark import Setting
+from renet.evaluation.studies.fault_settings import Setting
 from renet.evaluation.trace import Trace
 
 ONSET, OVER, STEPS = 20, 60, 100

@@ -1,17 +1,12 @@
-import json
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError
 from renet.evaluation.studies import faults
-from renet.evaluation.studies.benchmark import ONSETS, schema
 from renet.evaluation.studies.faults import FaultStudy
-from renet.evaluation.study import WalkingStudy
-from renet.version import commit
 
 from ..fakes import FakeEvaluator
 
@@ -76,31 +71,13 @@ def test_a_fault_begins_after_the_first_control_step():
         FaultStudy(onsets=(0.005,))
 
 
-def test_the_result_file_is_valid(run_study):
-    result = json.loads((run_study("faults")[0] / "result.json").read_text())
-    Draft202012Validator(schema(1)).validate(result)
-    assert result["policy"]["modes"] == ["camera", "memory", "blind"]
-    assert result["provenance"]["commit"] == commit()
-    assert {entry["onset"] for entry in result["settings"]} == set(ONSETS.values())
-    flat = [e for e in result["settings"] if (e["mode"], e["ground"]) == ("camera", "flat")]
-    mean = np.mean([entry["measures"]["upright"]["value"] for entry in flat])
-    assert np.mean(result["by_robot"]["camera"]["flat"]["upright"]) == pytest.approx(mean)
-    assert len(result["by_robot"]["blind"]["gap"]["crossed"]) == 2
-    assert {entry["level"] for entry in result["settings"] if entry["ground"] == "gap"} == {3}
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        {"grounds": ("rough",)},
-        {"faults": ("frozen", "mirrored:5")},
-        {"conditions": "training"},
-    ],
-)
-def test_settings_that_the_benchmark_lacks_give_no_result_file(tmp_path, monkeypatch, other):
-    monkeypatch.setattr(WalkingStudy, "run", lambda self, evaluator: {})
-    FaultStudy(out=tmp_path, **other).run()
-    assert not (tmp_path / "result.json").exists()
+def test_each_robots_shares_are_those_of_its_settings(run_study):
+    summary = run_study("faults")[1]
+    flat = [run for run in summary["runs"] if (run["mode"], run["ground"]) == ("camera", "flat")]
+    mean = np.mean([run["measures"]["upright"]["value"] for run in flat])
+    assert np.mean(summary["by_robot"]["camera"]["flat"]["upright"]) == pytest.approx(mean)
+    assert len(summary["by_robot"]["blind"]["gap"]["crossed"]) == 2
+    assert {run["ground_level"] for run in summary["runs"] if run["ground"] == "gap"} == {3}
 
 
 def test_faults_of_few_robots_walk_side_by_side_as_they_do_alone(tmp_path, monkeypatch):

@@ -153,7 +153,7 @@ def test_frames_that_randomisation_parts_are_computed(field, value):
     model = scene(FRAMES)
     compiled = model.geom_sameframe.copy()
     assert np.count_nonzero(compiled) >= 2
-    engine.forget_coinciding_frames(model, {field})
+    engine.clear_frame_flags(model, {field})
     if field:
         getattr(model, field)[:] = value
     else:

@@ -98,11 +98,11 @@ def test_an_unknown_mujoco_is_refused_with_what_to_do(
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "libmujoco.9.dylib").touch()
     monkeypatch.setattr(module, name, value)
-    for check in (stages.check_mujoco, mujoco_memory.library):
+    for check in (stages.check_mujoco, mujoco_memory.mujoco_library):
         check.cache_clear()
     with pytest.raises(RenetError, match=rf"{message}.*mujoco~=3\.11\.0, or use --engine warp"):
         simulate(robots(WALKER, TILES))
-    mujoco_memory.library.cache_clear()
+    mujoco_memory.mujoco_library.cache_clear()
 
 
 def test_time_is_found_and_nothing_is_changed_in_looking_for_it():

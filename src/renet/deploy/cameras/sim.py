@@ -9,7 +9,7 @@ from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import TERRAIN
 from renet.errors import RenetError
 from renet.faults import ViewPerturbation
-from renet.faults.physical import obstacles, spread
+from renet.faults.physical import choose_evenly, obstacles
 
 RELATIVE_STD = 0.01
 """Noise of the training camera in proportion to distance, m/m."""
@@ -58,7 +58,7 @@ class SimCamera(Camera):
             if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, TERRAIN) < 0:
                 raise RenetError("this scene has nothing that could be glass: choose a --terrain")
             tiles = obstacles(model, np.zeros((1, 2)))
-            unseen = sorted(spread(tiles, float(view.glass[0])))
+            unseen = sorted(choose_evenly(tiles, float(view.glass[0])))
         self._robot.hide(unseen)
         self._view = view
 

@@ -158,7 +158,7 @@ def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
     """Mean distance by which robots leave their straight way, m in LONG_WAY m.
 
     Args:
-        positions: [T, N, 2] m, in the frame in which each robot started, x ahead of it.
+        positions: [T, N, 2] m, in the frame in which each robot started, x behind it.
         command: the twist, [3]; None is returned for one that turns or stands, and where robots
             did not walk.
     """

@@ -1,4 +1,4 @@
-"""Findings of the fault benchmark: claims, settings where RENet does harm, faults it misses.
+"""Findings of the study of single faults: claims, settings where RENet does harm, faults it misses.
 
 A walk over obstacles is chaotic: twins diverge by chance, in both directions. Falls under a fault
 are therefore compared with those of the same robots without it by Fisher's exact test (1922).
@@ -11,7 +11,7 @@ import scipy
 
 from renet.evaluation.figures import setting_label
 from renet.evaluation.results import grouped
-from renet.evaluation.studies.benchmark import Setting
+from renet.evaluation.studies.fault_settings import Setting
 from renet.terrain.tiles import DIFFICULT
 
 Runs = list[dict[str, Any]]

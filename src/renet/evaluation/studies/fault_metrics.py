@@ -1,4 +1,4 @@
-"""What the fault benchmark measures of each robot and of each setting, with intervals and pairs.
+"""Measures of the study of single faults, of each robot and setting, with intervals and pairs.
 
 Robots fall over obstacles with healthy cameras, too. Each robot of a fault's batch therefore has a
 twin without the fault: same mode, body, start, camera and noise, bit for bit alike until the onset.
@@ -13,7 +13,7 @@ import numpy as np
 
 from renet.evaluation import metrics
 from renet.evaluation.results import grouped
-from renet.evaluation.studies.benchmark import Setting
+from renet.evaluation.studies.fault_settings import Setting
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT, STEPS_PER_TICK

@@ -1,4 +1,4 @@
-"""The fault study: every camera fault on every ground, in every mode (docs/benchmark.md).
+"""The fault study: every camera fault on every ground, in every mode (docs/faults.md).
 
 Faults begin on the way to an obstacle and half a second before its edge, and end before the run
 does, so that leaving vision and returning to it are both measured. One fault is one batch of
@@ -20,16 +20,15 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay
-from renet.evaluation.results import grouped, write_json
+from renet.evaluation.results import grouped
 from renet.evaluation.rollout import FLAT, Trial, check_grounds
 from renet.evaluation.studies import fault_metrics
-from renet.evaluation.studies.benchmark import GROUNDS, LISTED, ONSETS, Setting, result
 from renet.evaluation.studies.fault_findings import findings
+from renet.evaluation.studies.fault_settings import GROUNDS, LISTED, ONSETS, Setting
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES, fault_class
 from renet.faults.physical import Glass
-from renet.files import remove
 from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain
 from renet.selector.calibration import decluster
 
@@ -53,15 +52,15 @@ class FaultStudy(WalkingStudy):
     """
 
     out: Path = Path("results/faults")
-    """Folder for summary.json, summary.csv, result.json, figures and parts/."""
+    """Folder for summary.json, summary.csv, figures and parts/."""
     faults: tuple[str, ...] = LISTED
-    """Faults to inject: NAME at all severities, or NAME:SEVERITY; by default the benchmark's."""
+    """Faults to inject: NAME at all severities, or NAME:SEVERITY; by default 29 of them."""
     severities: tuple[int, ...] = SEVERITIES
     """Severities of faults that name none, 1 to 5."""
     grounds: tuple[Terrain, ...] = tuple(GROUNDS)
     """Flat ground alone is endless; beside others it is a tile like theirs."""
     level: int | None = None
-    """Level of all tiles, 1 to 10; by default the benchmark's for each ground."""
+    """Level of all tiles, 1 to 10; by default one for each ground (docs/faults.md)."""
     onsets: tuple[float, ...] = tuple(ONSETS)
     """Seconds at which faults begin; on flat ground only the first."""
     lasts: float = 4.0
@@ -348,20 +347,6 @@ class FaultStudy(WalkingStudy):
             | fault_metrics.beside_op(values, beside)
             | {"measures": fault_metrics.estimates(values, calm)}
         )
-
-    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """Run the study; where it is the benchmark's, write result.json as well."""
-        summary = super().run(evaluator)
-        remove(self.out / "result.json")
-        if self._is_of_benchmark():
-            write_json(self.out / "result.json", result(summary))
-        return summary
-
-    def _is_of_benchmark(self) -> bool:
-        """Whether version 1 of the benchmark has all of the settings."""
-        known = set(self.onsets) <= set(ONSETS) and set(self.grounds) <= set(GROUNDS)
-        faults = {setting.fault for settings in self.batches.values() for setting in settings}
-        return known and faults <= set(LISTED) and self.conditions == "nominal"
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """crossed.png, survival.png and detection.png."""

@@ -29,7 +29,7 @@ from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial
 from renet.evaluation.studies.one_try import AIM, NEAREST
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
-from renet.faults import Schedule, parse_fault
+from renet.faults import FaultSchedule, parse_fault
 from renet.interface import CONTROL_DT, Terrain
 from renet.terrain.own_ground import KIND, GroundFile, OwnScene
 from renet.terrain.tiles import LEVELS, Tile, tiles
@@ -117,7 +117,7 @@ class TerrainStudy(WalkingStudy):
         return changed
 
     @property
-    def schedule(self) -> Schedule:
+    def schedule(self) -> FaultSchedule:
         """What happens to every camera; the nearest obstacle begins 1.2 m from the start."""
         if self.fault is None:
             return ()

@@ -22,21 +22,22 @@ WIDE = 20.0
 """Width above which shapes (planes, the border) are in no bin and always drawn, m."""
 MAX_BINS = 1 << 20
 """Approximate largest number of bins; larger terrains get larger bins."""
-FEW = 4096
-"""Number of points below which a second thread is of no help."""
+MIN_POINTS = 4096
+"""Smallest number of points for which more threads are faster than one."""
 
 
 class Rasterizer(TerrainScanner):
-    """Draws depth images and finds heights shape by shape, on the CPU.
+    """Depth images and heights of a model's terrain by rasterization, on the CPU.
 
-    Each shape near the camera fills the pixels it covers, while a ray caster searches a tree for
-    every pixel.
+    Each shape near the camera fills the pixels that it covers, whereas a ray caster searches a tree
+    for each pixel.
     """
 
     def __init__(self, model: mujoco.MjModel, without: frozenset[int] = frozenset()) -> None:
         """Sort the shapes of a model's terrain into bins; `without` as in `terrain_shapes`."""
         super().__init__(model, "cpu", without)
         boxes, triangles = self._shapes
+        # Axis-aligned boxes around all shapes.
         reach = np.abs(boxes[:, 3:12].reshape(-1, 3, 3)) @ boxes[:, 12:, None]
         middle = boxes[:, :3]
         low = np.concatenate((middle - reach[..., 0], triangles.min(1)))
@@ -49,7 +50,7 @@ class Rasterizer(TerrainScanner):
         )
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
-        """Planar depth, as `TerrainScanner.depth`: [N, H * W] m, at most `limit`."""
+        """Compute planar depth as `TerrainScanner.depth` does, [N, H * W] m, at most `limit`."""
         depth = torch.empty(len(position), lens.height * lens.width)
         left, up = lens.axes(np.float32)
         argument = SOURCE.struct("Draw")(
@@ -68,7 +69,7 @@ class Rasterizer(TerrainScanner):
         return depth
 
     def clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
-        """Height over the terrain, as `TerrainScanner.clearance`: [N, P] m."""
+        """Compute heights over the terrain as `TerrainScanner.clearance` does, [N, P] m."""
         clearance = torch.empty(len(position), len(pattern))
         argument = SOURCE.struct("Scan")(
             terrain=self._terrain,
@@ -81,7 +82,7 @@ class Rasterizer(TerrainScanner):
             drop=self.drop,
             clearances=clearance.numpy(),
         )
-        SOURCE.call("scan", argument, alone=clearance.numel() < FEW)
+        SOURCE.call("scan", argument, alone=clearance.numel() < MIN_POINTS)
         return clearance
 
 
@@ -89,32 +90,47 @@ class Rasterizer(TerrainScanner):
 def scanner(
     model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
 ) -> TerrainScanner:
-    """The fastest scanner of a model's terrain, built once and shared by all sensors."""
+    """Build the fastest scanner of a model's terrain, once for all sensors."""
     if wp.get_device(device).is_cpu:
         return Rasterizer(model, without)
     return TerrainScanner(model, device, without)
 
 
 def _bins(low: np.ndarray, high: np.ndarray) -> dict[str, object]:
-    """The shapes that touch each bin, as fields of the struct Terrain.
+    """Sort shapes into bins.
 
     Args:
-        low, high: [shapes, 2] horizontal corners of the boxes around them, m.
+        low: Lowest x and y of each shape, [S, 2] m.
+        high: Highest x and y of each shape, [S, 2] m.
+
+    Returns:
+        The shapes that touch each bin, as fields of the struct Terrain.
     """
+    # Shapes in bins, and the area that the bins cover.
     wide = (high - low > WIDE).any(-1)
-    fine = np.flatnonzero(~wide)
-    start = low[fine].min(0) if len(fine) else np.zeros(2)
-    size = high[fine].max(0) - start if len(fine) else np.zeros(2)
+    narrow = np.flatnonzero(~wide)
+    start = np.zeros(2)
+    size = np.zeros(2)
+    if len(narrow):
+        start = low[narrow].min(0)
+        size = high[narrow].max(0) - start
     side = max(BIN, float(np.sqrt(size.prod() / MAX_BINS)))
-    count = np.floor(size / side).astype(int) + 1 if len(fine) else np.zeros(2, int)
+    count = np.zeros(2, int)
+    if len(narrow):
+        count = np.floor(size / side).astype(int) + 1
+
+    # Bins that each shape touches: a rectangle from its first to its last bin.
     first = np.clip(((low - start) / side).astype(int), 0, None)
     last = np.minimum(((high - start) / side).astype(int), count - 1)
-    spans = [
-        np.add.outer(np.arange(a, c + 1) * count[1], np.arange(b, d + 1)).ravel()
-        for (a, b), (c, d) in zip(first[fine], last[fine], strict=True)
-    ]
+    spans = []
+    for (first_x, first_y), (last_x, last_y) in zip(first[narrow], last[narrow], strict=True):
+        rows = np.arange(first_x, last_x + 1) * count[1]
+        columns = np.arange(first_y, last_y + 1)
+        spans.append(np.add.outer(rows, columns).ravel())
+
+    # A list of shapes sorted by bin, and where each bin's part of it ends.
     bins = np.concatenate([np.zeros(0, int), *spans])
-    items = np.repeat(fine, [len(span) for span in spans])
+    items = np.repeat(narrow, [len(span) for span in spans])
     ends = np.cumsum(np.bincount(bins, minlength=int(count.prod())))
     return {
         "wide": np.flatnonzero(wide).astype(np.int32),

@@ -9,7 +9,7 @@ from renet.sim.depth.rasterizer import scanner
 
 
 class RaySensor(Sensor[Tensor]):
-    """An mjlab sensor that casts rays against the static terrain."""
+    """mjlab sensor that casts rays against the static terrain."""
 
     _data: Any
 
@@ -18,9 +18,10 @@ class RaySensor(Sensor[Tensor]):
         self.cfg = cfg
 
     def edit_spec(self, scene_spec, entities) -> None:
-        """Leave the model as it is; mjlab calls this before it compiles the model."""
+        """Change nothing; mjlab calls this before it compiles the model."""
 
     def initialize(self, mj_model, model, data, device) -> None:
-        """Take the simulation's arrays, and the scanner of the model's terrain."""
-        self._data, self._device = data, device
+        """Store the simulation's arrays, and build a scanner of the model's terrain."""
+        self._data = data
+        self._device = device
         self._scanner = scanner(mj_model, device)

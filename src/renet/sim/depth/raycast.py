@@ -30,9 +30,10 @@ def cast(
     limit: float,
     depth: wp.array2d(dtype=float),  # type: ignore[valid-type]
 ):
-    """Cast rays given in camera frames; depth is the ray parameter of a hit, -1 beyond `limit`.
+    """Cast rays given in camera frames.
 
-    For rays whose forward component is 1 that is the distance to the image plane.
+    `depth` is the ray parameter of a hit, or -1 beyond `limit`. For rays whose forward component is
+    1 it is the distance to the image plane.
     """
     camera, pixel = wp.tid()  # type: ignore[misc]
     ray = rotation[camera] * rays[pixel]
@@ -46,19 +47,20 @@ class TerrainScanner:
     def __init__(
         self, model: mujoco.MjModel, device: str, without: frozenset[int] = frozenset()
     ) -> None:
-        """Take the terrain of a model; arguments and errors are those of `terrain_shapes`."""
+        """Collect the terrain of a model; arguments and errors are those of `terrain_shapes`."""
         self.device = wp.get_device(device)
-        self._shapes = boxes, others = terrain_shapes(model, without)
+        boxes, others = terrain_shapes(model, without)
+        self._shapes = (boxes, others)
         self.triangles = np.concatenate((box_triangles(boxes), others)).astype(np.float32)
-        """Corners of the terrain's triangles, [T, 3, 3] m, world."""
+        """Corners of the terrain's triangles in the world frame, [T, 3, 3] m."""
         self.top = float(self.triangles[..., 2].max()) + 1.0
-        """A height above all terrain, m."""
+        """Height above all terrain, m."""
         self.drop = self.top - float(self.triangles[..., 2].min()) + 1.0
         """Distance from `top` to 1 m below all terrain, m."""
 
     @cached_property
     def _mesh(self) -> wp.Mesh:
-        """The mesh with its search tree, built when rays are first cast."""
+        """Mesh with its search tree, built when rays are first cast."""
         points = self.triangles.reshape(-1, 3)
         corners = np.arange(len(points), dtype=np.int32)
         return wp.Mesh(
@@ -67,51 +69,71 @@ class TerrainScanner:
         )
 
     def height(self, points: Tensor) -> Tensor:
-        """Height of the highest surface at world points [M, 2]: [M] m.
+        """Compute the height of the highest surface at points [M, 2] of the world, [M] m.
 
-        Where there is no terrain, it is 1 m below the lowest surface.
+        Without terrain it is 1 m below the lowest surface.
         """
         position = torch.nn.functional.pad(points, (0, 1))
         return -self.clearance(position, None, position.new_zeros(1, 2)).squeeze(-1)
 
     def clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
-        """Height of frames over the terrain at points around them, [N, P] m.
+        """Compute the height of frames over the terrain at points around them.
 
-        Where there is no terrain, it is taken as 1 m below the lowest surface.
+        Points without terrain count as 1 m below the lowest surface.
 
         Args:
-            position: [N, 3] m, world.
-            rotation: [N, 3, 3], frame to world, whose yaw turns the pattern; None: no turn.
-            pattern: [P, 2] m from the position.
+            position: Positions in the world frame, [N, 3] m.
+            rotation: Rotations from the frames to the world, [N, 3, 3], whose yaw turns the
+                pattern; None leaves the pattern as it is.
+            pattern: Points relative to the positions, [P, 2] m.
+
+        Returns:
+            Heights, [N, P] m.
         """
         position = position.float()
         x, y = pattern.float().unbind(-1)
+        # Turn the pattern by the yaw, and move it to the positions.
         if rotation is not None:
-            ahead = torch.nn.functional.normalize(rotation[:, :2, 0].float(), dim=-1)
-            cosine, sine = ahead[:, :1], ahead[:, 1:]
+            forward = torch.nn.functional.normalize(rotation[:, :2, 0].float(), dim=-1)
+            cosine = forward[:, :1]
+            sine = forward[:, 1:]
             x, y = cosine * x - sine * y, sine * x + cosine * y
-        x, y = position[:, :1] + x, position[:, 1:2] + y
-        above = torch.stack((x, y, torch.full_like(x, self.top)), dim=-1).flatten(0, 1)
+        x = position[:, :1] + x
+        y = position[:, 1:2] + y
+        # Cast a ray downwards from above all terrain at each point.
+        start = torch.stack((x, y, torch.full_like(x, self.top)), dim=-1).flatten(0, 1)
         axes = torch.eye(3, device=x.device)
-        fall = self._cast(above, axes.expand(len(above), 3, 3), -axes[2:], self.drop).view_as(x)
-        return position[:, 2:] - (self.top - torch.where(fall < 0.0, self.drop, fall))
+        rotations = axes.expand(len(start), 3, 3)
+        distance = self._cast(start, rotations, -axes[2:], self.drop).view_as(x)
+        distance = torch.where(distance < 0.0, self.drop, distance)
+        return position[:, 2:] - (self.top - distance)
 
     def depth(self, position: Tensor, rotation: Tensor, lens: Intrinsics, limit: float) -> Tensor:
-        """Planar depth of cameras, [N, H * W] m to the image plane; -1 where nothing is seen.
+        """Compute planar depth of N cameras.
 
         Args:
-            position: [N, 3] m, world.
-            rotation: [N, 3, 3], camera axes (forward, left, up) as columns, world.
-            lens: rays of every camera. limit: m of depth beyond which nothing is seen.
+            position: Positions in the world frame, [N, 3] m.
+            rotation: Camera axes (forward, left, up) in the world frame as columns, [N, 3, 3].
+            lens: Intrinsics of all cameras.
+            limit: Largest depth, m.
+
+        Returns:
+            Distances to the image plane, [N, H * W] m; -1 beyond the limit.
         """
         rays = torch.from_numpy(lens.rays(np.float32)).to(position.device)
         return self._cast(position, rotation, rays, limit)
 
     def _cast(self, position: Tensor, rotation: Tensor, rays: Tensor, limit: float) -> Tensor:
-        """Cast rays [P, 3] from each of N poses, on torch's stream: [N, P]."""
+        """Cast rays [P, 3] from each of N poses, on torch's stream; returns depth [N, P]."""
         depth = torch.empty(len(position), len(rays), device=position.device)
-        poses = _warp(position, wp.vec3), _warp(rotation, wp.mat33)
-        inputs = [self._mesh.id, *poses, _warp(rays, wp.vec3), limit, wp.from_torch(depth)]
+        inputs = [
+            self._mesh.id,
+            _to_warp(position, wp.vec3),
+            _to_warp(rotation, wp.mat33),
+            _to_warp(rays, wp.vec3),
+            limit,
+            wp.from_torch(depth),
+        ]
         stream = None
         if not self.device.is_cpu:
             current = torch.cuda.current_stream(wp.device_to_torch(self.device))
@@ -121,5 +143,6 @@ class TerrainScanner:
         return depth
 
 
-def _warp(values: Tensor, dtype: Any) -> Any:
+def _to_warp(values: Tensor, dtype: Any) -> Any:
+    """Convert a tensor to a Warp array of vectors or matrices."""
     return wp.from_torch(values.float().contiguous(), dtype=dtype)

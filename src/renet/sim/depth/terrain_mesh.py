@@ -1,4 +1,4 @@
-"""Boxes and triangles of the terrain: all static geoms that collide."""
+"""Boxes and triangles of the terrain, which is all static geoms that collide."""
 
 import mujoco
 import numpy as np
@@ -7,7 +7,7 @@ from renet.errors import RenetError
 from renet.sim.native.stages import moving_bodies
 
 PLANE_HALF = 200.0
-"""Half-width of the square that replaces a plane, which has no bounds in collisions, m."""
+"""Half-width of the square that replaces an infinite plane, m."""
 
 BOX_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 BOX_FACES = np.array(
@@ -21,17 +21,18 @@ BOX_FACES = np.array(
 def terrain_shapes(
     model: mujoco.MjModel, without: frozenset[int] = frozenset()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Shapes of a model's static geoms that can collide.
+    """Collect the shapes of a model's static geoms that can collide.
 
     Args:
-        model: the scene. without: ids of geoms to leave out.
+        model: The scene.
+        without: Ids of geoms to leave out.
 
     Returns:
         Boxes [B, 15] (centre, rotation by rows, half sizes), and corners [T, 3, 3] of the triangles
-        of all other geoms, m, world.
+        of all other geoms, in m in the world frame.
 
     Raises:
-        RenetError: a geom is neither box, plane nor height field, or there is no geom.
+        RenetError: A geom is neither box, plane nor height field, or there is no geom.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -40,25 +41,28 @@ def terrain_shapes(
     geoms = [geom for geom in static if geom not in without]
     if not geoms:
         raise RenetError("the scene has no terrain: nothing for rays to hit")
-    boxes, triangles = [np.zeros((0, 15))], [np.zeros((0, 3, 3))]
+    boxes = [np.zeros((0, 15))]
+    triangles = [np.zeros((0, 3, 3))]
     for geom in geoms:
-        rotation, position = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        position = data.geom_xpos[geom]
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-            boxes.append(np.concatenate((position, rotation.ravel(), model.geom_size[geom]))[None])
+            box = np.concatenate((position, rotation.ravel(), model.geom_size[geom]))
+            boxes.append(box[None])
         else:
             triangles.append(_triangles(model, geom) @ rotation.T + position)
     return np.concatenate(boxes), np.concatenate(triangles)
 
 
 def box_triangles(boxes: np.ndarray) -> np.ndarray:
-    """Corners [12 B, 3, 3] of the triangles of boxes [B, 15], as `terrain_shapes` gives them."""
+    """Compute the corners [12 B, 3, 3] of the triangles of boxes [B, 15] (see `terrain_shapes`)."""
     rotation = boxes[:, 3:12].reshape(-1, 3, 3).transpose(0, 2, 1)
     corners = (BOX_CORNERS * boxes[:, None, 12:]) @ rotation + boxes[:, None, :3]
     return corners[:, BOX_FACES].reshape(-1, 3, 3)
 
 
 def _triangles(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Corners [T, 3, 3] of the triangles of one geom in its own frame, m."""
+    """Compute the corners of a geom's triangles in its own frame, [T, 3, 3] m."""
     kind = mujoco.mjtGeom(model.geom_type[geom])
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
         corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * PLANE_HALF
@@ -73,8 +77,13 @@ def _triangles(model: mujoco.MjModel, geom: int) -> np.ndarray:
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> np.ndarray:
-    """Triangles [T, 3, 3] of MuJoCo's solid: cells split along a diagonal, walls, a box as base."""
-    rows, columns = model.hfield_nrow[field], model.hfield_ncol[field]
+    """Compute the triangles of a height field as MuJoCo's solid, [T, 3, 3] m.
+
+    It consists of cells that are split along a diagonal, of walls around them, and of a box as
+    base.
+    """
+    rows = model.hfield_nrow[field]
+    columns = model.hfield_ncol[field]
     half_x, half_y, height, depth = model.hfield_size[field]
     start = model.hfield_adr[field]
     elevation = model.hfield_data[start : start + rows * columns] * height
@@ -82,11 +91,15 @@ def _height_field(model: mujoco.MjModel, field: int) -> np.ndarray:
         np.linspace(-half_y, half_y, rows), np.linspace(-half_x, half_x, columns), indexing="ij"
     )
     top = np.stack((x.ravel(), y.ravel(), elevation), axis=-1)
+    # The surface: two triangles for each cell, from the numbers of its four nodes.
     node = np.arange(rows * columns).reshape(rows, columns)
-    low, right = node[:-1, :-1].ravel(), node[:-1, 1:].ravel()
-    back, far = node[1:, :-1].ravel(), node[1:, 1:].ravel()
+    low = node[:-1, :-1].ravel()
+    right = node[:-1, 1:].ravel()
+    back = node[1:, :-1].ravel()
+    far = node[1:, 1:].ravel()
     surface = np.concatenate((np.stack((low, right, far), -1), np.stack((low, far, back), -1)))
 
+    # The walls: from the nodes around the field down to height 0, where they are above it.
     edge = np.concatenate((node[0], node[1:, -1], node[-1, -2::-1], node[-2::-1, 0]))
     foot = top[edge] * (1.0, 1.0, 0.0)
     here = np.arange(len(edge) - 1)
@@ -97,6 +110,7 @@ def _height_field(model: mujoco.MjModel, field: int) -> np.ndarray:
             np.stack((under, edge[here + 1], edge[here]), -1)[elevation[edge[:-1]] > 0.0],
         )
     )
+    # The base: a box without its top.
     base = BOX_CORNERS * (half_x, half_y, depth / 2) - (0.0, 0.0, depth / 2)
     box = BOX_FACES[(base[BOX_FACES, 2] < 0.0).any(-1)]
     faces = np.concatenate((surface, walls))

@@ -1,7 +1,7 @@
-"""C++ files that the clang in Warp compiles at first use, so that no compiler need be installed.
+"""C++ files, compiled at first use by the clang inside Warp, so that no compiler is needed.
 
-A file has structs and `static` functions, and no standard headers. Its structs become ctypes
-classes, whose instances are the arguments of its functions.
+A file has structs and `static` functions, and includes no standard headers. Its structs become
+ctypes classes, whose instances are the arguments of its functions.
 """
 
 import ctypes
@@ -15,26 +15,36 @@ import warp as wp
 
 from renet.sim.threads import on_all_threads
 
-TYPES = {"int": ctypes.c_int, "int64": ctypes.c_int64, "float": ctypes.c_float}
-TYPES["bool"] = ctypes.c_bool
+C_TYPES = {
+    "int": ctypes.c_int,
+    "int64": ctypes.c_int64,
+    "float": ctypes.c_float,
+    "bool": ctypes.c_bool,
+}
 FIELD = re.compile(r"(?:const )?(\w+)(\*?) (\w+);")
+"""A field's declaration: type, asterisk of a pointer, and name."""
 
 
 class Struct(ctypes.Structure):
-    """A struct of a C++ file, which keeps the objects alive that its pointers point to."""
+    """Struct of a C++ file; keeps the objects alive that its pointers point to."""
 
     def __init__(self, **fields: Any) -> None:
-        """Set all fields but `work`, which `Source.call` sets; raises TypeError for others.
+        """Set all fields but `work`, which `Source.call` sets.
 
         Args:
-            fields: numbers and structs; for pointers NumPy arrays, ctypes objects, addresses or
+            fields: Numbers and structs; for pointers NumPy arrays, ctypes objects, addresses or
                 None.
+
+        Raises:
+            TypeError: A field is missing or unknown.
         """
         super().__init__()
-        differing = fields.keys() ^ ({field[0] for field in self._fields_} - {"work"})
-        if differing:
-            raise TypeError(f"{type(self).__name__}: missing or unknown {differing}")
-        self._held = fields
+        names = {field[0] for field in self._fields_} - {"work"}
+        wrong_names = fields.keys() ^ names
+        if wrong_names:
+            raise TypeError(f"{type(self).__name__}: missing or unknown {wrong_names}")
+        # References that keep the memory behind pointers alive.
+        self._references = fields
         for name, value in fields.items():
             if isinstance(value, np.ndarray):
                 value = value.ctypes.data
@@ -46,7 +56,7 @@ class Struct(ctypes.Structure):
 
 
 class Source:
-    """A C++ file, in which quoted includes are replaced by their files."""
+    """C++ file, in which quoted includes are replaced by the included files."""
 
     def __init__(self, path: Path) -> None:
         text = path.read_text()
@@ -55,37 +65,51 @@ class Source:
 
     @cache  # noqa: B019  Sources are module constants.
     def struct(self, name: str) -> type[Struct]:
-        """A struct of numbers, pointers, structs as a ctypes class; raises KeyError for others."""
+        """Build the ctypes class of a struct.
+
+        Raises:
+            KeyError: There is no such struct, or it has fields other than numbers, pointers and
+                structs.
+        """
         match = re.search(rf"^struct {name} {{\n(.*?)^}};", self.text, re.DOTALL | re.MULTILINE)
         if not match:
             raise KeyError(name)
         body = re.sub(r"//.*", "", match[1])
-        declared = FIELD.findall(body)
-        if len(declared) != body.count(";"):
+        declarations = FIELD.findall(body)
+        if len(declarations) != body.count(";"):
             raise KeyError(f"{name} has fields other than `type name;`")
-        fields = [
-            (field, ctypes.c_void_p if pointer else TYPES.get(kind) or self.struct(kind))
-            for kind, pointer, field in declared
-        ]
+        fields = []
+        for kind, pointer, field in declarations:
+            if pointer:
+                fields.append((field, ctypes.c_void_p))
+            else:
+                fields.append((field, C_TYPES.get(kind) or self.struct(kind)))
         return type(name, (Struct,), {"_fields_": fields})
 
     def call(self, function: str, argument: Struct, alone: bool = False) -> None:
-        """Call a function of the file on all threads; returns when all its work is done.
+        """Call a function of the file on all threads, and return when all its work is done.
+
+        The GIL is released meanwhile.
 
         Args:
-            function: `static void function(Argument&)`, whose struct begins with `Work work`.
-            argument: the struct.
-            alone: whether to use the calling thread alone. The GIL is released in both cases.
+            function: Name of a `static void function(Argument&)`, whose struct begins with `Work
+                work`.
+            argument: The struct.
+            alone: Use the calling thread alone.
         """
-        argument.work.threads = argument.work.taken = 0
+        argument.work.threads = 0
+        argument.work.taken = 0
         inputs = [ctypes.addressof(argument)]
         kernel = self._kernel(function, type(argument).__name__)
         launch = wp.launch(kernel, dim=1, inputs=inputs, device="cpu", record_cmd=True).launch
-        launch() if alone else on_all_threads(launch)
+        if alone:
+            launch()
+        else:
+            on_all_threads(launch)
 
     @cache  # noqa: B019
     def _kernel(self, function: str, argument: str) -> Any:
-        """A Warp kernel that calls a function with the struct `argument` at an address."""
+        """Build a Warp kernel that calls a function with the struct `argument` at an address."""
 
         # C++ has no functions inside a function's body, but it has structs with functions there.
         @wp.func_native(

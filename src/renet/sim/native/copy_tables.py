@@ -1,7 +1,7 @@
 """Fields that the native engine copies between Warp and MuJoCo before and after its steps.
 
-A field has the same name on both sides, as mujoco_warp mirrors mjData and mjModel. The tables are
-lists of names; sizes and types are derived and checked.
+A field has the same name on both sides, because mujoco_warp mirrors mjData and mjModel. The tables
+are lists of names; sizes and types are derived and checked.
 """
 
 from typing import Any, NamedTuple
@@ -31,26 +31,31 @@ VIEWER_FIELDS = ("geom_rgba", "light_", "mat_")
 
 
 class FieldCopy(NamedTuple):
-    """A field, or a part of one, of all environments in Warp and of one mjModel or mjData."""
+    """Field, or a part of one, of all environments in Warp and of one mjModel or mjData."""
 
     warp: np.ndarray
-    """A view [N, ...] of Warp's memory."""
+    """View of Warp's memory, [N, ...]."""
     mujoco: np.ndarray
-    """A view of MuJoCo's memory, with as many elements as an environment has."""
+    """View of MuJoCo's memory, with the number of elements of one environment."""
 
     @property
     def is_float(self) -> bool:
-        """Whether it is single precision in Warp and double in MuJoCo; else bytes are the same."""
+        """True for single precision in Warp and double in MuJoCo; False for equal bytes."""
         return self.mujoco.dtype == np.float64
 
 
 def whole_data(
     wp_data: Any, mj_data: mujoco.MjData, num_envs: int, names: tuple[str, ...]
 ) -> list[FieldCopy]:
-    """Copies of mjData's whole fields, but for empty ones; raises RenetError for other sizes."""
+    """List copies of whole fields of mjData, without empty ones.
+
+    Raises:
+        RenetError: A field's sizes differ between Warp and MuJoCo.
+    """
     copies = []
     for name in names:
-        source, target = getattr(wp_data, name), getattr(mj_data, name)
+        source = getattr(wp_data, name)
+        target = getattr(mj_data, name)
         if target.size == 0 or source.size == 0:
             continue
         rows = source.numpy().reshape(source.shape[0], -1)
@@ -60,11 +65,16 @@ def whole_data(
     return copies
 
 
-def load_model(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> list[FieldCopy]:
-    """Copies of randomised fields into an MjModel; raises RenetError for other sizes or types."""
+def model_copies(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> list[FieldCopy]:
+    """List copies of randomised fields into an MjModel.
+
+    Raises:
+        RenetError: A field's sizes or types differ between Warp and MuJoCo.
+    """
     copies = []
     for name in names:
-        source, target = getattr(wp_model, name), getattr(mj_model, name)
+        source = getattr(wp_model, name)
+        target = getattr(mj_model, name)
         if not hasattr(source, "ptr") or target.size == 0 or name.startswith(VIEWER_FIELDS):
             continue
         copy = FieldCopy(source.numpy(), target)
@@ -82,20 +92,23 @@ def load_model(wp_model: Any, mj_model: mujoco.MjModel, names: list[str]) -> lis
 def store_data(
     wp_data: Any, mj_data: mujoco.MjData, mj_model: mujoco.MjModel, num_envs: int
 ) -> list[FieldCopy]:
-    """Copies of results out of an MjData, without the rows of static bodies."""
+    """List copies of results out of an MjData, without the rows of static bodies."""
     moving = moving_bodies(mj_model)
     copies = whole_data(wp_data, mj_data, num_envs, (*INTEGRATED, *SENSED, *FORCES))
-    owners = {names: getattr(mj_model, f"{kind}_bodyid") for kind, names in ON_BODIES.items()}
-    for names, owner in {PER_BODY: np.arange(mj_model.nbody), **owners}.items():
-        for rows in _runs(moving[owner]):
-            copies += [
-                FieldCopy(getattr(wp_data, name).numpy()[:, rows], getattr(mj_data, name)[rows])
-                for name in names
-            ]
+    # The body of each row, by the fields that have such rows.
+    bodies_of_rows: dict[tuple[str, ...], np.ndarray] = {PER_BODY: np.arange(mj_model.nbody)}
+    for kind, names in ON_BODIES.items():
+        bodies_of_rows[names] = getattr(mj_model, f"{kind}_bodyid")
+    for names, bodies in bodies_of_rows.items():
+        for rows in _runs(moving[bodies]):
+            for name in names:
+                source = getattr(wp_data, name).numpy()[:, rows]
+                target = getattr(mj_data, name)[rows]
+                copies.append(FieldCopy(source, target))
     return copies
 
 
 def _runs(mask: np.ndarray) -> list[slice]:
-    """Slices of consecutive true entries of a mask."""
+    """List slices of consecutive True entries of a mask."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return [slice(*edge) for edge in edges.reshape(-1, 2).tolist()]

@@ -1,13 +1,14 @@
 """Native CPU engine: C MuJoCo on threads behind mjlab's Simulation interface.
 
-Managers and sensors read and write the same Warp arrays as ever, through `sim.data` and
+Managers and sensors read and write Warp arrays, as with MuJoCo Warp, through `sim.data` and
 `sim.model`. On a CPU these are plain memory: `step` and `forward` copy each environment's state and
 randomised model fields into a thread's `MjModel` and `MjData`, call C MuJoCo, and copy the results
 back. Poses of static geoms and sums over the whole world are not copied.
 
 MuJoCo's step ends with poses and velocities of the state before it. A control step (`step_n`) also
-computes those of the state after it, and `forward_written` all that follows from the state of the
-few environments that were written to since. `stages.check_mujoco` refuses unknown versions.
+computes those of the state after it. `forward_written` computes all that follows from the state, of
+the few environments whose state was written since. `stages.check_mujoco` refuses unknown versions
+of MuJoCo.
 """
 
 from __future__ import annotations
@@ -26,76 +27,101 @@ from mjlab.sim.sim import Simulation
 
 from renet.errors import RenetError, demand_name
 from renet.interface import Engine
-from renet.sim.motors import IDEAL, Motors
+from renet.sim.motors import NO_MOTORS, Motors
 from renet.sim.native import mujoco_memory, stages
 from renet.sim.native.collision_culling import CollisionCulling
 from renet.sim.native.compiler import Source, Struct
-from renet.sim.native.copy_tables import POSE, STATE, FieldCopy, load_model, store_data, whole_data
+from renet.sim.native.copy_tables import (
+    POSE,
+    STATE,
+    FieldCopy,
+    model_copies,
+    store_data,
+    whole_data,
+)
 from renet.sim.native.stages import stages_of
 from renet.sim.threads import THREADS
 
 SOURCE = Source(Path(__file__).with_name("engine.cpp"))
 
-RESET_TO_ZERO = ("qvel", "act", "qacc", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
-RESET_TO_ZERO += ("time", "sensordata")
+RESET_TO_ZERO = (
+    "qvel",
+    "act",
+    "qacc",
+    "qacc_warmstart",
+    "ctrl",
+    "qfrc_applied",
+    "xfrc_applied",
+    "time",
+    "sensordata",
+)
+"""Fields of mjData that a reset sets to zero."""
 
 INERTIAL = {"body_mass", "body_inertia", "body_ipos", "body_iquat", "dof_armature"}
-"""Model fields that MuJoCo does not read of a lone body, whose inertia is compiled."""
+"""Model fields of inertia. MuJoCo does not read those of a lone body, whose inertia is compiled."""
 
 
-def forget_coinciding_frames(model: mujoco.MjModel, randomised: set[str]) -> None:
-    """Clear the compiler's marks of coinciding frames where randomisation may part the frames.
+def clear_frame_flags(model: mujoco.MjModel, randomised: set[str]) -> None:
+    """Clear the compiler's flags of coinciding frames that randomisation may move apart.
 
-    Kinematics does not read the fields of marked frames, such as those of most terrain geoms.
+    Kinematics does not read the poses of flagged frames, such as those of most terrain geoms.
 
     Args:
-        model: changed in place. randomised: names of the fields that differ between environments.
+        model: The model, changed in place.
+        randomised: Names of the fields that differ between environments.
     """
-    marks = mujoco.mjtSameFrame
-    inertial = bool({"body_ipos", "body_iquat"} & randomised)
-    if inertial:
-        model.body_sameframe[:] = marks.mjSAMEFRAME_NONE
+    flags = mujoco.mjtSameFrame
+    moves_inertia = bool({"body_ipos", "body_iquat"} & randomised)
+    if moves_inertia:
+        model.body_sameframe[:] = flags.mjSAMEFRAME_NONE
     for kind in ("geom", "site"):
-        same = getattr(model, f"{kind}_sameframe")
+        sameframe = getattr(model, f"{kind}_sameframe")
         if {f"{kind}_pos", f"{kind}_quat"} & randomised:
-            same[:] = marks.mjSAMEFRAME_NONE
-        elif inertial:
-            of_inertia = (marks.mjSAMEFRAME_INERTIA, marks.mjSAMEFRAME_INERTIAROT)
-            same[np.isin(same, of_inertia)] = marks.mjSAMEFRAME_NONE
+            sameframe[:] = flags.mjSAMEFRAME_NONE
+        elif moves_inertia:
+            inertial = (flags.mjSAMEFRAME_INERTIA, flags.mjSAMEFRAME_INERTIAROT)
+            sameframe[np.isin(sameframe, inertial)] = flags.mjSAMEFRAME_NONE
 
 
 class Worker:
-    """One thread's model and data, and the copies into and out of them."""
+    """Model and data of one thread, and the copies into and out of them."""
 
     def __init__(self, simulation: NativeSimulation) -> None:
-        """Copy a simulation's model; raises RenetError if it randomises what this engine cannot."""
-        self.model = model = simulation.mj_model.__copy__()
+        """Copy a simulation's model.
+
+        Raises:
+            RenetError: The simulation randomises a field that this engine cannot.
+        """
+        model = simulation.mj_model.__copy__()
+        self.model = model
         if simulation.expanded_fields & INERTIAL and model.dof_simplenum.any():
             raise RenetError(
                 "the native engine cannot randomise inertia in a scene with a lone free or sliding "
                 "body: use the warp engine"
             )
-        # A diverged environment must keep its NaN for the task to see.
+        # An environment that diverged must keep its NaN, so that the task ends its episode.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        if model.ntree == 1:  # One tree is one island.
+        # A single tree is a single island.
+        if model.ntree == 1:
             model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-        # Marks for viewers, cleared in each step: 0.4 MB with the meshes that only viewers draw.
+        # Flags for viewers, which each step would clear: 0.4 MB with the meshes of a robot.
         model.vis.global_.bvactive = 0
-        forget_coinciding_frames(model, simulation.expanded_fields)
+        clear_frame_flags(model, simulation.expanded_fields)
         self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
-        wp_data, num_envs = simulation.wp_data, simulation.num_envs
+        wp_data = simulation.wp_data
+        num_envs = simulation.num_envs
         self.pose = whole_data(wp_data, self.data, num_envs, POSE)
         self.state = whole_data(wp_data, self.data, num_envs, STATE)
-        self.fields = load_model(simulation.wp_model, model, sorted(simulation.expanded_fields))
+        self.fields = model_copies(simulation.wp_model, model, sorted(simulation.expanded_fields))
         self.stores = store_data(wp_data, self.data, model, num_envs)
 
     def struct(self, wp_data: Any, culling: CollisionCulling) -> Struct:
-        """The struct Worker of engine.cpp."""
+        """Build the struct Worker of engine.cpp."""
         model = self.model
-        time = [FieldCopy(wp_data.time.numpy(), mujoco_memory.time(self.data))]
-        loads = [*self.state, *time, *culling.load_masks(model), *self.fields]
-        stores = [*self.stores, *time]
+        time = FieldCopy(wp_data.time.numpy(), mujoco_memory.time(self.data))
+        loads = [*self.state, time, *culling.load_masks(model), *self.fields]
+        stores = [*self.stores, time]
         return SOURCE.struct("Worker")(
             model=model._address,
             data=self.data._address,
@@ -105,7 +131,8 @@ class Worker:
             geoms=model.ngeom,
             loads=_copies(loads),
             num_loads=len(loads),
-            num_finite=len(self.state) + len(time),
+            # Of the loads, state and time must be finite.
+            num_finite=len(self.state) + 1,
             stores=_copies(stores),
             num_stores=len(stores),
             qvel=self.data.qvel,
@@ -114,40 +141,44 @@ class Worker:
         )
 
 
-def _copies(listed: list[FieldCopy]) -> Any:
-    """An array of the struct Copy of engine.cpp."""
-    kind = SOURCE.struct("Copy")
-    table = [
-        kind(
+def _copies(copies: list[FieldCopy]) -> Any:
+    """Build an array of the struct Copy of engine.cpp."""
+    struct = SOURCE.struct("Copy")
+    table = []
+    for copy in copies:
+        row = struct(
             warp=copy.warp,
             stride=copy.warp.strides[0],
             mujoco=copy.mujoco,
             count=copy.mujoco.size if copy.is_float else copy.mujoco.nbytes,
             convert=copy.is_float,
         )
-        for copy in listed
-    ]
-    return (kind * len(table))(*table)
+        table.append(row)
+    return (struct * len(table))(*table)
 
 
 class NativeSimulation(Simulation):
-    """mjlab's Simulation stepped by C MuJoCo; CPU only.
+    """mjlab's Simulation, stepped by C MuJoCo on a CPU.
 
     Contact and constraint arrays of the Warp data are not filled. Read contacts through MuJoCo's
     contact sensors, as mjlab's ContactSensor does.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """Take Simulation's arguments; raises RenetError where MuJoCo is one it does not know."""
+        """Initialize the simulation; arguments are those of Simulation.
+
+        Raises:
+            RenetError: The installed version of MuJoCo is unknown.
+        """
         self._workers: list[Worker] = []
         self._arguments: dict[tuple[int, bool, bool], Struct] = {}
-        """The struct Advance of engine.cpp, by the arguments of `_advance`."""
+        """Struct Advance of engine.cpp for each set of arguments of `_advance`."""
         stages.check_mujoco()
-        # It would append its warnings to a log file in the working folder.
+        # MuJoCo would append its warnings to a log file in the working folder.
         mujoco.set_mju_user_warning(lambda message: None)
         super().__init__(*args, **kwargs)
         self.at_rest = np.zeros(self.num_envs, bool)
-        """[N] environments that no step advances; write into it."""
+        """Environments that no step advances, [N] bool; to be written in place."""
         self.culling = CollisionCulling(self.mj_model, self.mj_data, self.num_envs)
         self._motors: Motors | None = None
         self._zeroed = [getattr(self.wp_data, name).numpy() for name in RESET_TO_ZERO]
@@ -155,24 +186,25 @@ class NativeSimulation(Simulation):
     def expand_model_fields(self, fields: tuple[str, ...]) -> None:
         """Give each environment its own values of model fields, as Simulation does."""
         super().expand_model_fields(fields)
+        # Workers hold views of the old fields.
         self._workers = []
 
     def use_motors(self, motors: Motors) -> None:
-        """Let motors be late, or weak at speed, from the next step on.
+        """Apply delays and torque–speed curves of motors from the next step on.
 
-        Where torque falls with speed, `actuator_forcerange` must be a field of each environment's
-        own (`expand_model_fields`).
+        With torque–speed curves, each environment must have its own `actuator_forcerange` (see
+        `expand_model_fields`).
         """
         self._motors = motors
         self._workers = []
 
     def step(self) -> None:
-        """One physics step of every environment."""
+        """Take a physics step in all environments."""
         with self.nan_guard.watch(self.data):
             self._advance(1, derive=False)
 
     def step_n(self, steps: int) -> None:
-        """Several physics steps with the same controls, then the poses of the state after them.
+        """Take physics steps with the same controls, then compute poses of the state after them.
 
         Contacts, forces and accelerations are those at the beginning of the last step.
         """
@@ -180,17 +212,20 @@ class NativeSimulation(Simulation):
             self._advance(steps, derive=True)
 
     def forward(self) -> None:
-        """Compute all that follows from the present state of every environment."""
+        """Compute all that follows from the present state, in all environments."""
         self._advance(0)
 
     def forward_written(self) -> None:
-        """The same for the environments whose state was written since `step_n` or this call."""
+        """Do the same in environments whose state was written since `step_n` or this call."""
         self._advance(0, only_written=True)
 
     def reset(self, env_ids: torch.Tensor | None = None) -> None:
-        """Put environments at rest in the model's reference state, without forces."""
-        ids = slice(None) if env_ids is None else env_ids
-        rows = slice(None) if env_ids is None else env_ids.numpy()
+        """Set environments to the model's reference state, at rest and without forces."""
+        ids: slice | torch.Tensor = slice(None)
+        rows: slice | np.ndarray = slice(None)
+        if env_ids is not None:
+            ids = env_ids
+            rows = env_ids.numpy()
         for field in self._zeroed:
             field[rows] = 0.0
         self.data.qpos[ids] = self._model_rows("qpos0", ids)
@@ -201,22 +236,28 @@ class NativeSimulation(Simulation):
             self.data.mocap_quat[ids] = self._model_rows("body_quat", ids)[..., order, :]
 
     def _model_rows(self, name: str, ids: slice | torch.Tensor) -> torch.Tensor:
-        """A model field of the environments `ids`, or the one they share."""
+        """Return a model field of the environments `ids`, or the one that all share."""
         field = getattr(self.model, name)
         return field[ids] if field.shape[0] == self.num_envs else field[0]
 
     def _advance(self, steps: int, derive: bool = False, only_written: bool = False) -> None:
-        """Take physics steps; if `steps` is 0, compute all that follows from the state."""
+        """Take physics steps.
+
+        Args:
+            steps: Number of steps; 0 computes all that follows from the state.
+            derive: End with poses and velocities of the state after the last step.
+            only_written: Process only environments whose state was written.
+        """
         if not self._workers:
             self._prepare()
         key = steps, derive, only_written
         if key not in self._arguments:
             self._arguments[key] = self._argument(*key)
-        # Few environments are written to: a second thread would begin too late.
+        # The state of few environments is written: a second thread would begin too late.
         SOURCE.call("advance", self._arguments[key], alone=only_written)
 
     def _prepare(self) -> None:
-        """Set up the threads, and forget the last poses."""
+        """Build the workers, and drop the poses of the last step."""
         self._workers = [Worker(self) for _ in range(min(THREADS, self.num_envs))]
         self._structs = [worker.struct(self.wp_data, self.culling) for worker in self._workers]
         size = sum(copy.mujoco.size for copy in self._workers[0].pose)
@@ -224,24 +265,26 @@ class NativeSimulation(Simulation):
         self._arguments = {}
 
     def _argument(self, steps: int, derive: bool, only_written: bool) -> Struct:
-        """The struct Advance of engine.cpp."""
-        stage, library = SOURCE.struct("Stage"), mujoco_memory.library()
+        """Build the struct Advance of engine.cpp."""
+        struct = SOURCE.struct("Stage")
+        library = mujoco_memory.mujoco_library()
         driven = self._motors is not None
-        table = [
-            stage(
-                function=None if name == stages.DRIVE else getattr(library, name),
-                bodies=bodies,
-                geoms=geoms,
+        table = []
+        for stage in stages_of(self.mj_model, steps, derive, driven):
+            is_drive = stage.function == stages.DRIVE
+            row = struct(
+                function=None if is_drive else getattr(library, stage.function),
+                bodies=stage.bodies,
+                geoms=stage.geoms,
             )
-            for name, bodies, geoms in stages_of(self.mj_model, steps, derive, driven)
-        ]
-        motors = IDEAL
+            table.append(row)
+        motors = NO_MOTORS
         if self._motors is not None:
             motors = self._motors.fields(self.wp_model.actuator_forcerange.numpy())
         pose = self._workers[0].pose
         return SOURCE.struct("Advance")(
             environments=self.num_envs,
-            stages=(stage * len(table))(*table),
+            stages=(struct * len(table))(*table),
             num_stages=len(table),
             derives=derive or not steps,
             only_written=only_written,
@@ -257,10 +300,10 @@ class NativeSimulation(Simulation):
 
 
 class TerrainLast(Scene):
-    """mjlab's Scene with the terrain after all that moves, so that stages can leave it out."""
+    """mjlab's Scene with the terrain after all that moves, so that stages can skip it."""
 
     def _add_terrain(self) -> None:
-        """Wait for the entities."""
+        """Do nothing: mjlab calls this before it adds the entities."""
 
     def _add_entities(self) -> None:
         super()._add_entities()
@@ -269,22 +312,28 @@ class TerrainLast(Scene):
 
 @contextmanager
 def use_engine(name: str, device: str) -> Iterator[None]:
-    """A context in which mjlab environments are built with an engine.
+    """Context in which mjlab environments are built with an engine.
 
     Args:
-        name: `native` (C MuJoCo; raises RenetError off the CPU), `warp` (MuJoCo Warp), or `auto`:
-            native on a CPU, else warp; raises RenetError for any other.
+        name: `native` (C MuJoCo), `warp` (MuJoCo Warp), or `auto` (native on a CPU, otherwise
+            warp).
         device: torch's name of the device, such as `cpu`.
+
+    Raises:
+        RenetError: The engine is unknown, or it is native and the device no CPU.
     """
     demand_name("engine", name, get_args(Engine))
     on_cpu = torch.device(device).type == "cpu"
     if name == "native" and not on_cpu:
         raise RenetError(f"the native engine runs on the CPU, not on {device}: use --engine warp")
     simulation = Simulation if name == "warp" or not on_cpu else NativeSimulation
-    # mjlab's environment takes these classes from its module, not from a configuration.
-    originals = mjlab_env.Simulation, mjlab_env.Scene
-    mjlab_env.Simulation, mjlab_env.Scene = simulation, TerrainLast
+    # mjlab's environment reads these classes from its module rather than from a configuration.
+    original_simulation = mjlab_env.Simulation
+    original_scene = mjlab_env.Scene
+    mjlab_env.Simulation = simulation
+    mjlab_env.Scene = TerrainLast
     try:
         yield
     finally:
-        mjlab_env.Simulation, mjlab_env.Scene = originals
+        mjlab_env.Simulation = original_simulation
+        mjlab_env.Scene = original_scene

@@ -1,8 +1,8 @@
-"""The stages of a physics step, and the part of the model that each of them gets.
+"""Stages of a physics step, and the part of the model that each of them processes.
 
-MuJoCo's stages loop over all bodies and geoms, of which most are terrain and never move. Where
-these come last, all stages but collision detection get a model that ends before them. Results are
-the same, except sums over the whole world.
+MuJoCo's stages loop over all bodies and geoms, most of which are terrain and never move. Where
+these come last, all stages but collision detection process a model that ends before them. Results
+are the same, except sums over the whole world.
 """
 
 from ctypes import c_void_p
@@ -22,9 +22,10 @@ SENSED = ("mj_transmission", "mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
 UNSENSED = ("mj_transmission", "mj_fwdVelocity")
 UNSENSED += ("mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint")
 DRIVE = "drive"
-"""Not of MuJoCo: motors at the beginning of a physics step (`drive` in engine.cpp)."""
+"""Stage of the motors at the beginning of a physics step, which is not MuJoCo's (`drive` in
+engine.cpp)."""
 DERIVE = (*POSITION, *SENSED)
-"""The stages of `mj_forward` without contacts and accelerations."""
+"""Stages of `mj_forward` without contacts and accelerations."""
 INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_EULER: "mj_Euler",
     mujoco.mjtIntegrator.mjINT_IMPLICIT: "mj_implicit",
@@ -45,30 +46,37 @@ SELF_CHECK = """
 
 
 class Stage(NamedTuple):
-    """A function of MuJoCo, or `DRIVE`, and the numbers of bodies and geoms that its model has."""
+    """Function of MuJoCo, or `DRIVE`, and the part of the model that it processes."""
 
     function: str
+    """Name of the function."""
     bodies: int
+    """Number of bodies, from the first."""
     geoms: int
+    """Number of geoms, from the first."""
 
 
 def stages_of(model: mujoco.MjModel, steps: int, derive: bool, driven: bool = False) -> list[Stage]:
-    """The stages of physics steps of a model, in order.
+    """List the stages of physics steps, in order.
 
     Args:
-        model: not changed. steps: number of steps; 0: all that follows from the present state.
-        derive: whether to end with poses and velocities of the state after the last step.
-        driven: whether each step begins with `DRIVE`.
+        model: The model, which is not changed.
+        steps: Number of steps; 0 computes all that follows from the present state.
+        derive: End with poses and velocities of the state after the last step.
+        driven: Begin each step with `DRIVE`.
     """
-    whole, moving = (model.nbody, model.ngeom), moving_part(model)
+    whole = (model.nbody, model.ngeom)
+    moving = moving_part(model)
     if not steps:
         return [Stage("mj_forward", *whole)]
     # MuJoCo sweeps along the principal axes of the positions of all geoms but the world's. If there
     # is one such geom, these are the world's axes, as are the tiles': fewer bounding boxes overlap.
-    of_world = int((model.geom_bodyid == 0).sum())
-    shown = {"mj_step": whole, "mj_collision": (model.nbody, min(of_world + 1, model.ngeom))}
+    world_geoms = int((model.geom_bodyid == 0).sum())
+    # Stages that process more than what moves.
+    parts = {"mj_step": whole, "mj_collision": (model.nbody, min(world_geoms + 1, model.ngeom))}
     if moving == whole:
-        step = last_step = ("mj_step",)
+        step = ("mj_step",)
+        last_step = ("mj_step",)
     else:
         step = (*POSITION, *CONTACTS, *UNSENSED, INTEGRATORS[model.opt.integrator])
         # Sensors are computed in the last step alone.
@@ -76,33 +84,38 @@ def stages_of(model: mujoco.MjModel, steps: int, derive: bool, driven: bool = Fa
     if driven:
         step = (DRIVE, *step)
         last_step = (DRIVE, *last_step)
-    functions = step * (steps - 1) + last_step + (DERIVE if derive else ())
-    return [Stage(name, *shown.get(name, moving)) for name in functions]
+    functions = step * (steps - 1) + last_step
+    if derive:
+        functions += DERIVE
+    return [Stage(name, *parts.get(name, moving)) for name in functions]
 
 
 def moving_part(model: mujoco.MjModel) -> tuple[int, int]:
-    """Numbers of bodies and geoms up to the last one that moves.
+    """Count the bodies and the geoms up to the last one that moves.
 
-    They are those of the whole model if a sensor may read the terrain, or if it has features of
-    MuJoCo whose stages are not among those above.
+    The counts are those of the whole model if a sensor may read the terrain, or if the model has
+    features of MuJoCo whose stages are not among those above.
     """
-    sums, unbound = (
-        np.isin(model.sensor_type, [getattr(mujoco.mjtSensor, f"mjSENS_{name}") for name in names])
-        for names in (SUMS, UNBOUND)
+    sums = _is_sensor(model, SUMS) & (model.sensor_objid <= 0)
+    reads_terrain = (_is_sensor(model, UNBOUND) | sums).any()
+    has_other_stages = (
+        model.nflex or model.opt.enableflags or model.opt.integrator not in INTEGRATORS
     )
-    if (
-        model.nflex
-        or model.opt.enableflags
-        or model.opt.integrator not in INTEGRATORS
-        or (unbound | sums & (model.sensor_objid <= 0)).any()
-    ):
+    if has_other_stages or reads_terrain:
         return model.nbody, model.ngeom
     bodies = int(np.flatnonzero(moving_bodies(model)).max(initial=0)) + 1
-    return bodies, int((model.geom_bodyid < bodies).sum())
+    geoms = int((model.geom_bodyid < bodies).sum())
+    return bodies, geoms
+
+
+def _is_sensor(model: mujoco.MjModel, names: tuple[str, ...]) -> np.ndarray:
+    """Return a mask of the sensors of some types, [nsensor] bool."""
+    types = [getattr(mujoco.mjtSensor, f"mjSENS_{name}") for name in names]
+    return np.isin(model.sensor_type, types)
 
 
 def moving_bodies(model: mujoco.MjModel) -> np.ndarray:
-    """[nbody] bool: bodies that can move, mocap bodies included."""
+    """Return a mask of the bodies that can move, mocap bodies among them, [nbody] bool."""
     return (model.body_weldid != 0) | (model.body_mocapid[model.body_rootid] >= 0)
 
 
@@ -111,7 +124,7 @@ def check_mujoco() -> None:
     """Check the version of MuJoCo, the layout of its structs, and its stages against `mj_step`.
 
     Raises:
-        RenetError: the installed MuJoCo cannot be stepped stage by stage.
+        RenetError: The installed MuJoCo cannot be stepped stage by stage.
     """
     try:
         _check_stages()
@@ -123,27 +136,35 @@ def check_mujoco() -> None:
 
 
 def _check_stages() -> None:
-    """Raise LookupError, AttributeError or OSError where a step cannot be split into stages."""
+    """Raise LookupError, AttributeError or OSError if a step cannot be split into stages."""
     if not mujoco.__version__.startswith(mujoco_memory.VERSION):
         raise LookupError(f"it knows versions {mujoco_memory.VERSION}*")
     model = mujoco.MjModel.from_xml_string(SELF_CHECK)
-    plain, staged = mujoco.MjData(model), mujoco.MjData(model)
-    sizes = [mujoco_memory.model_size(model, name) for name in ("nbody", "ngeom")]
-    library, time = mujoco_memory.library(), mujoco_memory.time(staged)
-    mujoco.mj_forward(model, staged)  # Poses of what never moves.
-    whole = model.nbody, model.ngeom
+    expected = mujoco.MjData(model)
+    data = mujoco.MjData(model)
+    num_bodies = mujoco_memory.model_size(model, "nbody")
+    num_geoms = mujoco_memory.model_size(model, "ngeom")
+    library = mujoco_memory.mujoco_library()
+    time = mujoco_memory.time(data)
+
+    # Take two steps stage by stage, each with its part of the model.
+    mujoco.mj_forward(model, data)  # Poses of bodies that never move.
+    bodies = model.nbody
+    geoms = model.ngeom
     for stage in stages_of(model, 2, derive=False):
-        for size, shown in zip(sizes, stage[1:], strict=True):
-            size.value = shown
+        num_bodies.value = stage.bodies
+        num_geoms.value = stage.geoms
         function = getattr(library, stage.function)
-        function.argtypes, function.restype = [c_void_p] * 2, None
-        function(model._address, staged._address)
-    for size, value in zip(sizes, whole, strict=True):
-        size.value = value
-    mujoco.mj_step(model, plain, 2)
-    same = all(
-        np.array_equal(getattr(plain, name), getattr(staged, name))
-        for name in ("qpos", "qvel", "sensordata", "qfrc_constraint")
-    )
-    if not same or time[0] != plain.time:
+        function.argtypes = [c_void_p] * 2
+        function.restype = None
+        function(model._address, data._address)
+    num_bodies.value = bodies
+    num_geoms.value = geoms
+
+    # Compare with MuJoCo's own steps.
+    mujoco.mj_step(model, expected, 2)
+    for name in ("qpos", "qvel", "sensordata", "qfrc_constraint"):
+        if not np.array_equal(getattr(expected, name), getattr(data, name)):
+            raise LookupError("its stages do not make its step")
+    if time[0] != expected.time:
         raise LookupError("its stages do not make its step")

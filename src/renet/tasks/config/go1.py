@@ -4,7 +4,8 @@ from mjlab.asset_zoo.robots.unitree_go1 import go1_constants as go1
 
 from renet.tasks.robot_cfg import Motor, RobotCfg
 
-MOTORS = {"hip": go1.HIP_ACTUATOR, "thigh": go1.HIP_ACTUATOR, "calf": go1.KNEE_ACTUATOR}
+# The Go1 has the same motors in hips and thighs.
+_ACTUATORS = {"hip": go1.HIP_ACTUATOR, "thigh": go1.HIP_ACTUATOR, "calf": go1.KNEE_ACTUATOR}
 GO1 = RobotCfg(
     name="Unitree Go1",
     spec=go1.get_spec,
@@ -12,8 +13,8 @@ GO1 = RobotCfg(
     pose=go1.INIT_STATE.joint_pos or {},
     motors={
         part: Motor(motor.effort_limit, motor.velocity_limit, motor.reflected_inertia)
-        for part, motor in MOTORS.items()
+        for part, motor in _ACTUATORS.items()
     },
     foot_radius=0.023,
 )
-"""Servos' gains and the size of actions are RobotCfg's defaults, Kp 40, Kd 1 and 0.25 rad."""
+"""The Go1. Gains and action scale are RobotCfg's defaults: Kp 40, Kd 1 and 0.25 rad."""

@@ -8,7 +8,7 @@ from renet.tasks.robot_cfg import Motor, RobotCfg
 
 
 def spec() -> mujoco.MjSpec:
-    """The model without servos, which are mjlab's, and physics options, which are the task's."""
+    """Load the MJCF without servos, which mjlab adds, and physics options, which the task sets."""
     spec = mujoco.MjSpec.from_file(str(DESCRIPTION.mjcf))
     spec.option = mujoco.MjSpec().option
     for servo in list(spec.actuators):
@@ -39,4 +39,4 @@ GO2 = RobotCfg(
         position=(0.24, -0.0175, 0.12), pitch=0.40, position_error=0.03, angle_error=0.1
     ),
 )
-"""Servos' gains are RobotCfg's defaults, Kp 40 and Kd 1, which are also ZiwenZhuang/parkour's."""
+"""The Go2. Gains are RobotCfg's defaults, Kp 40 and Kd 1, as in ZiwenZhuang/parkour."""

@@ -1,4 +1,4 @@
-"""Joint-position actions in the interface's order, whatever the order of the robot's MJCF."""
+"""Joint-position actions in the order of interface.JOINTS, for any order in the robot's MJCF."""
 
 import math
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from renet.interface import JOINTS
 
 @dataclass(kw_only=True)
 class OrderedJointPositionActionCfg(JointPositionActionCfg):
-    """Action i is the position target of joint i of interface.JOINTS."""
+    """Actions whose element i is the position target of joint i of interface.JOINTS."""
 
     actuator_names: tuple[str, ...] | list[str] = JOINTS
     target_rate: float = math.inf
-    """Fastest change of a joint target, rad/s. With a finite rate, targets also stay within the
-    joints' ranges, as those of a real robot do (`renet.deploy.safety`)."""
+    """Largest rate of change of a joint target, rad/s. If it is finite, targets also stay within
+    the joints' ranges, as those of a real robot do (see `renet.deploy.safety`)."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -31,9 +31,9 @@ class OrderedJointPositionActionCfg(JointPositionActionCfg):
 
 
 class OrderedJointPositionAction(JointPositionAction):
-    """mjlab's JointPositionAction keeps the order of the MJCF instead.
+    """Joint-position action in the order of interface.JOINTS; mjlab's has the order of the MJCF.
 
-    Policies observe the action that they chose, whatever the limits make of it.
+    Policies observe their own action, not the target within the limits.
     """
 
     cfg: OrderedJointPositionActionCfg
@@ -43,7 +43,7 @@ class OrderedJointPositionAction(JointPositionAction):
         data = self._entity.data
         self._start = data.default_joint_pos[:, self._target_ids].clone()
         self._target = self._start.clone()
-        """The newest joint targets, [N, 12] rad."""
+        """Newest joint targets, [N, 12] rad."""
         ranges = data.joint_pos_limits[:, self._target_ids]
         self._lower = ranges[..., 0]
         self._upper = ranges[..., 1]
@@ -52,7 +52,7 @@ class OrderedJointPositionAction(JointPositionAction):
         return self._entity.find_joints(cfg.actuator_names, preserve_order=True)
 
     def process_actions(self, actions: Tensor) -> None:
-        """Turn actions [N, 12] into joint targets within the limits of the configuration."""
+        """Compute joint targets within the configured limits from actions [N, 12]."""
         super().process_actions(actions)
         if not math.isfinite(self.cfg.target_rate):
             return
@@ -62,6 +62,6 @@ class OrderedJointPositionAction(JointPositionAction):
         self._processed_actions = self._target
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
-        """Begin episodes from the default pose, where a robot stands before it walks."""
+        """Reset targets to the default pose, in which a robot stands before it walks."""
         super().reset(env_ids)
         self._target[env_ids] = self._start[env_ids]

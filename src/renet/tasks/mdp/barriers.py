@@ -1,4 +1,4 @@
-"""Walls and ledges: where a robot is told to go on, and is right to stop."""
+"""Walls and ledges, in front of which a robot must stop against its command."""
 
 from mjlab.envs import ManagerBasedRlEnv
 from torch import Tensor
@@ -8,34 +8,42 @@ from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import BARRIERS
 
 STOP = 0.7
-"""Distance of the base from a wall or an edge at which a robot is to stop, m: its head is half as
-far from it."""
+"""Distance of the base from a wall or an edge at which a robot must stop, m. The head is then half
+as far away."""
 
 
 def before_barrier(env: ManagerBasedRlEnv) -> Tensor:
-    """Whether what a robot is told leads it against a wall or over an edge nearby, [N] bool."""
-    here = on_tiles(env, *BARRIERS)
+    """Return a mask of robots whose command leads against a near wall or over an edge, [N] bool."""
+    on_barriers = on_tiles(env, *BARRIERS)
     if not has_barriers(env):
-        return here
+        return on_barriers
     command = goal(env)
-    return here & (command.speed > 0.0) & (way_left(env, command.direction) < STOP)
+    is_near = free_distance(env, command.direction) < STOP
+    return on_barriers & (command.speed > 0.0) & is_near
 
 
 def has_barriers(env: ManagerBasedRlEnv) -> bool:
-    """Whether there are walls or ledges among the tiles of a task."""
+    """Return True if the tiles of a task have walls or ledges."""
     terrain = tile_terrain(env)
     if terrain is None or terrain.cfg.terrain_generator is None:
         return False
     return not set(BARRIERS).isdisjoint(terrain.cfg.terrain_generator.sub_terrains)
 
 
-def way_left(env: ManagerBasedRlEnv, direction: Tensor) -> Tensor:
-    """Distance to the end of the ground along unit vectors [N, 2] in the world frame, [N] m.
+def free_distance(env: ManagerBasedRlEnv, direction: Tensor) -> Tensor:
+    """Compute the distance from the base to the end of the free ground.
 
-    It means nothing on tiles without barriers.
+    The result has no meaning on tiles without barriers.
+
+    Args:
+        env: The environment.
+        direction: Unit vectors in the world frame, [N, 2].
+
+    Returns:
+        Distances along the directions, [N] m.
     """
-    half = goal(env).clear[tile_terrain(env).terrain_types].unsqueeze(-1)
+    half_width = goal(env).clear[tile_terrain(env).terrain_types].unsqueeze(-1)
     position = (base_position(env) - env.scene.env_origins)[:, :2]
-    # Each side that the direction leads to is met after so many metres.
-    left = (half - position * direction.sign()) / direction.abs().clamp_min(1e-6)
-    return left.amin(-1)
+    # Distance to the sides of the square along x and along y; the nearer one ends the ground.
+    distance = (half_width - position * direction.sign()) / direction.abs().clamp_min(1e-6)
+    return distance.amin(-1)

@@ -1,8 +1,8 @@
-"""State of the floating base, read from MuJoCo's arrays, and the tile it is on.
+"""State of the floating base, read from MuJoCo's arrays, and the tile below it.
 
-The linear velocity of a free joint is that of the base in the world frame. It is as new as `qvel`,
-and costs one operation where mjlab's EntityData derives it from body velocities and quaternions.
-Positions and rotations are those of the last kinematics.
+The linear velocity of a free joint is that of the base in the world frame. It is up to date with
+`qvel`, and takes one operation, whereas mjlab's EntityData derives it from body velocities and
+quaternions. Positions and rotations are those of the last kinematics.
 """
 
 from typing import Any
@@ -34,26 +34,27 @@ def base_heading(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def rotated(vector: Tensor, angle: Tensor) -> Tensor:
-    """Horizontal vectors [N, 2] turned to the left by angles [N] rad."""
-    cos, sin = angle.cos(), angle.sin()
+    """Rotate horizontal vectors [N, 2] counterclockwise by angles [N] rad."""
+    cos = angle.cos()
+    sin = angle.sin()
     x, y = vector.unbind(-1)
     return torch.stack((cos * x - sin * y, sin * x + cos * y), dim=-1)
 
 
 def tile_terrain(env: ManagerBasedRlEnv) -> Any:
-    """The scene's terrain; its type in mjlab allows for None, which tasks on tiles never have."""
+    """Return the scene's terrain, which tasks with tiles always have (mjlab's type is optional)."""
     return env.scene.terrain
 
 
 def on_tiles(env: ManagerBasedRlEnv, *kinds: str) -> Tensor:
-    """Whether each robot is on a tile of one of these kinds, [N] bool; false on a plane."""
+    """Return a mask of robots on tiles of these kinds, [N] bool; False on a plane."""
     mask = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     terrain = tile_terrain(env)
     if terrain is None or terrain.cfg.terrain_generator is None:
         return mask
-    for number, kind in enumerate(terrain.cfg.terrain_generator.sub_terrains):
+    for column, kind in enumerate(terrain.cfg.terrain_generator.sub_terrains):
         if kind in kinds:
-            mask |= terrain.terrain_types == number
+            mask |= terrain.terrain_types == column
     return mask
 
 

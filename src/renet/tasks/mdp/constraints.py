@@ -1,8 +1,9 @@
 """Constraint costs of the cMDP: joint position, joint velocity, torque (RENet, Method A).
 
-Each cost is a metric of its own, `cost_joint_position` and so on, which `constraint_costs` puts in
-the order of interface.CONSTRAINTS for the learner. A cost is the sum over joints of what is beyond
-a limit, times the step's dt: zero for motion inside the limits, and for broken physics.
+Each cost is a metric, such as `cost_joint_position`. `constraint_costs` collects them for the
+learner in the order of interface.CONSTRAINTS. A cost is the sum over joints of the excess over a
+limit, times the step's dt. It is zero for motion inside the limits, and for a state that is NaN or
+infinite, which ends the episode.
 """
 
 import torch
@@ -16,7 +17,11 @@ from renet.interface import CONSTRAINTS
 
 
 def constraint_costs(env: ManagerBasedRlEnv) -> Tensor:
-    """Costs of the newest step, [N, 3] as interface.CONSTRAINTS; raises RenetError without them."""
+    """Collect the costs of the newest step, [N, 3], in the order of interface.CONSTRAINTS.
+
+    Raises:
+        RenetError: The task lacks a cost.
+    """
     metrics = env.metrics_manager
     names = [f"cost_{name}" for name in CONSTRAINTS]
     if missing := [name for name in names if name not in metrics.active_terms]:
@@ -25,7 +30,8 @@ def constraint_costs(env: ManagerBasedRlEnv) -> Tensor:
             "tasks built like renet.tasks"
         )
     values = metrics._step_values  # type: ignore[union-attr]
-    return torch.stack([values[:, metrics.active_terms.index(name)] for name in names], dim=-1)
+    columns = [metrics.active_terms.index(name) for name in names]
+    return torch.stack([values[:, column] for column in columns], dim=-1)
 
 
 class joint_position_cost:
@@ -33,17 +39,19 @@ class joint_position_cost:
 
     def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
         low, high = env.scene["robot"].data.soft_joint_pos_limits.unbind(-1)
-        self._middle, self._reach = (low + high) / 2, (high - low) / 2
+        self._middle = (low + high) / 2
+        self._half_range = (high - low) / 2
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
         position = env.scene["robot"].data.joint_pos
-        return _cost(env, (position - self._middle).abs() - self._reach)
+        return _cost(env, (position - self._middle).abs() - self._half_range)
 
 
 class joint_velocity_cost:
-    """Joint velocities beyond a limit, each joint at most 1 rad/s, [N] rad.
+    """Joint velocities beyond a limit, [N] rad; a joint counts at most 1 rad/s.
 
-    Parameters: `limits`, rad/s by pattern of joint names.
+    Parameters:
+        limits: Limits by pattern of joint names, rad/s.
     """
 
     def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
@@ -57,11 +65,13 @@ class joint_velocity_cost:
 class torque_cost:
     """Torques beyond a limit, [N] N m s.
 
-    They are what the nominal gains ask for, before the actuator saturates: a servo that asks for
-    more than it gets wears out, too.
+    Torques are those of the servo's law with nominal gains, before the actuator saturates: a target
+    out of the motor's reach costs more than one at its limit.
 
-    Parameters: `limits`, N m by pattern of joint names; `stiffness` and `damping`, N m/rad and
-    N m s/rad.
+    Parameters:
+        limits: Limits by pattern of joint names, N m.
+        stiffness: Kp of every joint, N m/rad.
+        damping: Kd of every joint, N m s/rad.
     """
 
     def __init__(self, cfg: MetricsTermCfg, env: ManagerBasedRlEnv) -> None:
@@ -76,10 +86,11 @@ class torque_cost:
 
 
 def _per_joint(env: ManagerBasedRlEnv, limits: dict[str, float]) -> Tensor:
+    """Return the limit of each joint, [J], from limits by pattern of joint names."""
     values = resolve_matching_names_values(limits, env.scene["robot"].joint_names)[2]
     return torch.tensor(values, device=env.device)
 
 
 def _cost(env: ManagerBasedRlEnv, excess: Tensor) -> Tensor:
-    """Cost of a step [N], from what each joint is beyond its limit [N, J]."""
+    """Compute the cost of a step, [N], from each joint's excess over its limit, [N, J]."""
     return (excess.relu().sum(-1) * env.step_dt).nan_to_num(0.0, 0.0, 0.0)

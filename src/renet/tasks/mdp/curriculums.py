@@ -1,7 +1,7 @@
-"""Terrain levels (walk-in-minutes rule), the two-level command curriculum, rewards' weights.
+"""Curricula: levels of the terrain (Rudin et al. 2022), stages of commands, weights of rewards.
 
-Whatever changes with time counts environment steps of all robots and processes; `EnvironmentSteps`
-is the one place that knows how many are done.
+All that changes with time follows the number of environment steps of all robots and processes,
+which the term `EnvironmentSteps` counts.
 """
 
 import os
@@ -19,9 +19,9 @@ from renet.tasks.schedule import Schedule, value_at
 from renet.terrain.tiles import BARRIERS, LEVELS, TILE
 
 FIRST_LEVELS = 2
-"""A robot that fails at the first level tries one of so many next. The narrowest gap is all but
-invisible (10 cm, seen from 30 cm above through the camera's noise): where all robots start over at
-it, VP never learns what a gap looks like."""
+"""Number of lowest levels from which a robot draws its next one after it failed at the lowest. With
+1, VP would never learn to see gaps: the narrowest, of 10 cm, is hardly visible through the camera's
+noise from 30 cm above."""
 
 
 class EnvironmentSteps:
@@ -31,14 +31,14 @@ class EnvironmentSteps:
         self._env = env
         self._robots = env.num_envs * int(os.getenv("WORLD_SIZE", "1"))
         self._offset = 0
-        """Steps that a resumed run took with another number of robots."""
+        """Correction for steps that a resumed run took with another number of robots."""
 
     def __call__(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> Tensor:
         return torch.tensor(float(self.count))
 
     @property
     def count(self) -> int:
-        """Steps that are done."""
+        """Number of environment steps taken."""
         return self._offset + self._env.common_step_counter * self._robots
 
     @count.setter
@@ -47,32 +47,39 @@ class EnvironmentSteps:
 
 
 def environment_steps(env: ManagerBasedRlEnv) -> int:
-    """Environment steps of all robots and processes that are done, in this run and before."""
+    """Return the number of environment steps taken by all robots and processes, in all runs."""
     return env.curriculum_manager.get_term_cfg("environment_steps").func.count  # type: ignore[union-attr]
 
 
 class TerrainLevels:
-    """Move robots whose episodes end up or down a level (Rudin et al. 2022).
+    """Levels of robots on the terrain, which rise and fall with success (Rudin et al. 2022).
 
-    Up when half a tile lies behind, down below half of what was commanded (no more than half a tile
-    can be covered, whatever the command). A flat first level is for robots that cannot walk yet:
-    failing does not lead back to it, or most steps would go to flat ground, where episodes last
-    longest. A robot that fell owes the whole episode, lest falling early look like keeping up; one
-    that was cut off, as in a run's first, randomly shortened episodes, owes what it had time for.
-    One that has not walked keeps its level, as after loading a checkpoint. A robot that passes the
-    last level is sent to any level. Whoever is among walls or on a ledge, which nobody can leave,
-    is always sent to any level.
+    At the end of an episode a robot's level
 
-    Of the episodes on kinds of tile of `easier_kinds` a share, `easier_share`, use a tile of a
-    level drawn uniformly up to the robot's own, from the lowest `easier_levels`. They do not change
-    that level. Without them robots forget how to cross narrow gaps. Share and levels follow
-    schedules; all three are parameters.
+    - rises if the robot walked half a tile away from its start;
+    - falls if it walked less than half of the commanded distance, of which at most half a tile
+      counts. A robot that fell is measured by the distance of the whole episode, so that an early
+      fall is no success. A robot whose episode was cut short, as the first ones of a run are, is
+      measured by the distance until then;
+    - stays if the robot did not walk, as after a checkpoint is loaded, or was on an easier tile;
+    - is drawn from all levels if it passes the last one, and always between walls and on ledges,
+      which no robot can leave.
+
+    A flat first level is for robots that cannot walk yet. Failures do not lead back to it: episodes
+    last longest there, and most steps would be spent on flat ground.
+
+    Parameters:
+        easier_kinds: Kinds of tile on which some episodes use an easier tile, without a change of
+            the robot's level. Otherwise robots forget how to cross narrow gaps.
+        easier_share: Share of these episodes, a schedule.
+        easier_levels: Number of lowest levels from which these tiles are drawn uniformly, up to the
+            robot's level, a schedule.
 
     Attributes:
-        levels: each robot's own level, [N]; `terrain.terrain_levels` is that of the tile it is on.
-        passed: robots that passed the last level and have not failed since, [N] bool. They count
-            as having reached the number of levels: the mean of the levels that they are sent to
-            would be 6 of 10 for robots that always succeed.
+        levels: Level of each robot, [N]. `terrain.terrain_levels` is that of its tile.
+        passed: Robots that passed the last level and have not failed since, [N] bool. They are
+            logged with the number of levels: the mean of the levels that they draw would be 6 of 10
+            for robots that always succeed.
     """
 
     def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
@@ -87,65 +94,109 @@ class TerrainLevels:
         easier_share: Schedule = 0.0,
         easier_levels: Schedule = LEVELS,
     ) -> dict[str, Tensor]:
-        """Set levels and tiles of robots whose episodes end; returns each kind's mean level."""
-        terrain, command = tile_terrain(env), goal(env)
-        steps = env.episode_length_buf[env_ids]
-        left = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
-        failed = env.termination_manager.terminated[env_ids]
-        owed = command.commanded_distance[env_ids] + failed * left * command.speed[env_ids]
-        distance = distance_from_start(env)[env_ids]
-        before, types = self.levels[env_ids], terrain.terrain_types[env_ids]
-        counts = (steps > 0) & (terrain.terrain_levels[env_ids] == before)
-        up = counts & (distance > TILE / 2)
-        down = counts & ~up & (distance < 0.5 * owed.clamp_max(TILE / 2))
-        level = before + up.long() - down.long()
-        highest = len(terrain.terrain_origins)
-        tiles = terrain.cfg.terrain_generator.sub_terrains
-        flat_starts = (kind for kind, tile in tiles.items() if getattr(tile, "flat_start", False))
-        lowest = on_tiles(env, *flat_starts)[env_ids].long()
-        retry = lowest + torch.randint_like(level, FIRST_LEVELS)
-        level = torch.where((before >= lowest) & (level < lowest), retry, level).clamp_min(0)
-        self.passed[env_ids] = (level >= highest) | (self.passed[env_ids] & ~down)
-        level = torch.where(level >= highest, torch.randint_like(level, highest), level)
-        if has_barriers(env):
-            confined = on_tiles(env, *BARRIERS)[env_ids]
-            level = torch.where(confined, torch.randint_like(level, highest), level)
-            self.passed[env_ids] &= ~confined
+        """Set levels and tiles of the robots `env_ids`, whose episodes end.
+
+        Returns:
+            Mean level of the robots on each kind of tile, for the log.
+        """
+        terrain = tile_terrain(env)
+        lowest = self._lowest_level(env, env_ids)
+        level = self._next_level(env, env_ids, lowest)
         self.levels[env_ids] = level
-        tile = level
-        done = environment_steps(env)
-        if share := value_at(easier_share, done):
-            drawn = torch.rand_like(level, dtype=torch.float) < share
-            drawn &= on_tiles(env, *easier_kinds)[env_ids] & (level > lowest)
-            count = (level - lowest + 1).clamp_max(value_at(easier_levels, done))
+
+        # Some episodes use an easier tile than that of the robot's level.
+        tile_level = level
+        steps = environment_steps(env)
+        share = value_at(easier_share, steps)
+        if share:
+            is_easier = torch.rand_like(level, dtype=torch.float) < share
+            is_easier &= on_tiles(env, *easier_kinds)[env_ids] & (level > lowest)
+            count = (level - lowest + 1).clamp_max(value_at(easier_levels, steps))
             easier = lowest + (torch.rand_like(level, dtype=torch.float) * count).long()
-            tile = torch.where(drawn, easier, level)
-        terrain.terrain_levels[env_ids] = tile
-        terrain.env_origins[env_ids] = terrain.terrain_origins[tile, types]
-        reached = torch.where(self.passed, highest, self.levels).float()
+            tile_level = torch.where(is_easier, easier, level)
+
+        # Move the robots to their tiles.
+        kind = terrain.terrain_types[env_ids]
+        terrain.terrain_levels[env_ids] = tile_level
+        terrain.env_origins[env_ids] = terrain.terrain_origins[tile_level, kind]
+        return self._mean_levels(env)
+
+    def _lowest_level(self, env: ManagerBasedRlEnv, env_ids: Tensor) -> Tensor:
+        """Return the lowest level after a failure, [E]: 1 above a flat first level, else 0."""
+        tiles = tile_terrain(env).cfg.terrain_generator.sub_terrains
+        kinds = [kind for kind, tile in tiles.items() if getattr(tile, "flat_start", False)]
+        return on_tiles(env, *kinds)[env_ids].long()
+
+    def _next_level(self, env: ManagerBasedRlEnv, env_ids: Tensor, lowest: Tensor) -> Tensor:
+        """Compute the next level of robots whose episodes end, [E], and update `passed`."""
+        terrain = tile_terrain(env)
+        command = goal(env)
+        old_level = self.levels[env_ids]
+        count = len(terrain.terrain_origins)
+
+        # The distance to walk: until the end of the episode for a robot that fell.
+        steps = env.episode_length_buf[env_ids]
+        remaining_time = (env.max_episode_length - steps).clamp_min(0) * env.step_dt
+        fell = env.termination_manager.terminated[env_ids]
+        target = command.commanded_distance[env_ids]
+        target = target + fell * remaining_time * command.speed[env_ids]
+
+        # Up or down by the distance walked, unless the robot did not walk or was on an easier tile.
+        distance = distance_from_start(env)[env_ids]
+        counts = (steps > 0) & (terrain.terrain_levels[env_ids] == old_level)
+        up = counts & (distance > TILE / 2)
+        down = counts & ~up & (distance < 0.5 * target.clamp_max(TILE / 2))
+        level = old_level + up.long() - down.long()
+
+        # A robot that fails at the lowest level tries one of the lowest levels.
+        retry = lowest + torch.randint_like(level, FIRST_LEVELS)
+        fails_at_lowest = (old_level >= lowest) & (level < lowest)
+        level = torch.where(fails_at_lowest, retry, level).clamp_min(0)
+
+        # A robot that passes the last level goes to any level.
+        self.passed[env_ids] = (level >= count) | (self.passed[env_ids] & ~down)
+        level = torch.where(level >= count, torch.randint_like(level, count), level)
+
+        # So does a robot that cannot leave its tile.
+        if has_barriers(env):
+            is_confined = on_tiles(env, *BARRIERS)[env_ids]
+            level = torch.where(is_confined, torch.randint_like(level, count), level)
+            self.passed[env_ids] &= ~is_confined
+        return level
+
+    def _mean_levels(self, env: ManagerBasedRlEnv) -> dict[str, Tensor]:
+        """Return the mean level of the robots on each kind of tile that robots can leave."""
+        terrain = tile_terrain(env)
+        tiles = terrain.cfg.terrain_generator.sub_terrains
+        levels = torch.where(self.passed, len(terrain.terrain_origins), self.levels).float()
         means = torch.zeros(len(tiles), device=env.device).scatter_reduce(
-            0, terrain.terrain_types, reached, "mean", include_self=False
+            0, terrain.terrain_types, levels, "mean", include_self=False
         )
-        levels = dict(zip(tiles, means.unbind(), strict=True))
-        return {kind: level for kind, level in levels.items() if kind not in BARRIERS}
+        by_kind = dict(zip(tiles, means.unbind(), strict=True))
+        return {kind: level for kind, level in by_kind.items() if kind not in BARRIERS}
 
 
 def on_easier_tile(env: ManagerBasedRlEnv) -> Tensor:
-    """1 on a tile easier than the robot's own level, [N, 1]."""
-    manager = getattr(env, "curriculum_manager", None)  # mjlab makes it after the observations.
+    """1 on a tile below the robot's level, [N, 1]."""
+    # mjlab computes observations once before it creates this manager.
+    manager = getattr(env, "curriculum_manager", None)
     if manager is None or "level" not in manager.active_terms:
         return torch.zeros(env.num_envs, 1, device=env.device)
-    return (tile_terrain(env).terrain_levels < _levels(env).levels).float().unsqueeze(-1)
+    is_easier = tile_terrain(env).terrain_levels < _levels(env).levels
+    return is_easier.float().unsqueeze(-1)
 
 
 class reward_weight:
-    """Let a reward's weight follow a schedule; logs it.
+    """Weight of a reward that follows a schedule; returns it for the log.
 
-    Parameters: `reward`, its name; `schedule` of its weight.
+    Parameters:
+        reward: Name of the reward.
+        schedule: Schedule of its weight.
     """
 
     def __init__(self, cfg: CurriculumTermCfg, env: ManagerBasedRlEnv) -> None:
-        name, schedule = cfg.params["reward"], cfg.params["schedule"]
+        name = cfg.params["reward"]
+        schedule = cfg.params["schedule"]
         weight = env.reward_manager.get_term_cfg(name).weight
         if weight != value_at(schedule, 0.0):
             raise RenetError(
@@ -165,11 +216,18 @@ class reward_weight:
 def command_stage(
     env: ManagerBasedRlEnv, env_ids: Tensor, after: float, standing_time: Schedule = 1.0
 ) -> Tensor:
-    """Ask for standing, too, after so many environment steps; returns the stage, 0 or 1.
+    """Set the stage of commands; returns it for the log.
 
-    Goals to stand last `standing_time` times as long as others.
+    At stage 0 all commands are to walk; at stage 1 some are to stand.
+
+    Args:
+        env: The environment.
+        env_ids: Robots whose episodes end; the stage is that of all robots.
+        after: Number of environment steps after which stage 1 begins.
+        standing_time: Duration of commands to stand, as a multiple of that of others; a schedule.
     """
-    command, steps = goal(env), environment_steps(env)
+    command = goal(env)
+    steps = environment_steps(env)
     if steps >= after:
         command.stage = 1
     command.standing_time = value_at(standing_time, steps)
@@ -177,21 +235,29 @@ def command_stage(
 
 
 def curriculum_state(env: ManagerBasedRlEnv) -> dict[str, Tensor]:
-    """Levels, command stage and control steps of an environment, for checkpoints."""
+    """Collect levels, command stage and control steps of an environment, for checkpoints."""
     state = {
         "command_stage": torch.tensor(goal(env).stage),
         "common_step_counter": torch.tensor(env.common_step_counter),
     }
     if "level" in env.curriculum_manager.active_terms:
-        term, kinds = _levels(env), tile_terrain(env).terrain_types
-        state |= {"levels": term.levels, "passed": term.passed, "kinds": kinds}
+        term = _levels(env)
+        state["levels"] = term.levels
+        state["passed"] = term.passed
+        state["kinds"] = tile_terrain(env).terrain_types
     return state
 
 
 def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], steps: int) -> None:
-    """Restore `curriculum_state` of a run that has taken so many environment steps.
+    """Restore the state that `curriculum_state` collected.
 
-    Other numbers of robots on the tiles resample the levels.
+    If the numbers of robots on the kinds of tile are not those of the state, each robot takes the
+    level of a random robot of the state on the same kind of tile.
+
+    Args:
+        env: The environment.
+        state: State of another environment.
+        steps: Number of environment steps that the run has taken.
     """
     goal(env).stage = int(state["command_stage"])
     env.common_step_counter = int(state["common_step_counter"])
@@ -200,21 +266,28 @@ def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], step
         env.curriculum_manager.get_term_cfg("environment_steps").func.count = steps  # type: ignore[union-attr]
     if "level" not in terms or "levels" not in state:
         return
-    term, terrain = _levels(env), tile_terrain(env)
+    term = _levels(env)
+    terrain = tile_terrain(env)
     kinds = state["kinds"].to(env.device)
-    robots = torch.arange(env.num_envs, device=env.device)
+
+    # For each robot, a robot of the state on the same kind of tile.
+    source = torch.arange(env.num_envs, device=env.device)
     if not torch.equal(kinds, terrain.terrain_types):
         for kind in kinds.unique():
-            here, pool = terrain.terrain_types == kind, (kinds == kind).nonzero()[:, 0]
-            picks = torch.randint(len(pool), (int(here.sum()),), device=env.device)
-            robots[here] = pool[picks]
-    shared = torch.isin(terrain.terrain_types, kinds)
+            mask = terrain.terrain_types == kind
+            candidates = (kinds == kind).nonzero()[:, 0]
+            choice = torch.randint(len(candidates), (int(mask.sum()),), device=env.device)
+            source[mask] = candidates[choice]
+
+    # Kinds of tile that the state lacks keep their levels.
+    known = torch.isin(terrain.terrain_types, kinds)
     for name in ("levels", "passed"):
         if name in state:
-            getattr(term, name)[shared] = state[name].to(env.device)[robots[shared]]
+            getattr(term, name)[known] = state[name].to(env.device)[source[known]]
     terrain.terrain_levels[:] = term.levels
     terrain.env_origins[:] = terrain.terrain_origins[term.levels, terrain.terrain_types]
 
 
 def _levels(env: ManagerBasedRlEnv) -> TerrainLevels:
+    """Return the term of the levels."""
     return env.curriculum_manager.get_term_cfg("level").func  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Observations beyond mjlab's: true quantities for critics and estimators, and depth."""
+"""Observations that mjlab lacks: true quantities for critics and estimators, and depth."""
 
 from typing import cast
 
@@ -17,11 +17,16 @@ from renet.terrain.tiles import BARRIERS, DIFFICULT
 
 
 def proprioception(env: ManagerBasedRlEnv, joints: SceneEntityCfg) -> Tensor:
-    """What the robot's own sensors say, in the terms, order and units of interface.PROPRIOCEPTION.
+    """Readings of the robot's own sensors before scaling, [N, 45].
 
-    Before scaling, [N, 45]; `joints` are in the order of interface.JOINTS.
+    Terms, order and units are those of interface.PROPRIOCEPTION.
+
+    Args:
+        env: The environment.
+        joints: The robot's joints in the order of interface.JOINTS.
     """
-    robot, order = env.scene["robot"], joints.joint_ids
+    robot = env.scene["robot"]
+    order = joints.joint_ids
     terms = (
         env.sim.data.qvel[:, robot.indexing.free_joint_v_adr[3:]],
         -base_rotation(env)[:, 2],
@@ -39,42 +44,44 @@ def velocity(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def sensor(env: ManagerBasedRlEnv, name: str) -> Tensor:
-    """Reading of the terrain sensor `name`: height map [N, 132] or feet height [N, 4], m."""
+    """Heights that a terrain sensor measures: a map [N, 132], or those of the feet [N, 4], m."""
     return env.scene[name].data
 
 
 def depth(env: ManagerBasedRlEnv) -> Tensor:
-    """Newest depth image, [N, 48, 64] float16 in [0, 1], held between 10 Hz ticks."""
+    """Newest depth image, [N, 48, 64] float16 in [0, 1]; it changes at 10 Hz ticks only."""
     return cast(DepthCamera, env.scene[DEPTH_CAMERA]).normalised()
 
 
 def feet_contact(env: ManagerBasedRlEnv) -> Tensor:
-    """1 where a foot touches, [N, 4]."""
+    """1 where a foot touches the terrain, [N, 4]."""
     return (env.scene[FEET_CONTACT].data.found > 0).float()
 
 
 def difficult(env: ManagerBasedRlEnv) -> Tensor:
-    """1 where the tile forces vision, [N, 1]."""
+    """1 on a kind of tile that needs vision, [N, 1]."""
     return on_tiles(env, *DIFFICULT, *BARRIERS).float().unsqueeze(-1)
 
 
 def stalled_seconds(env: ManagerBasedRlEnv) -> Tensor:
-    """Seconds since the robot last made progress, which `stalled` judges, [N, 1].
+    """Time since the robot last made progress, after which `stalled` ends the episode, [N, 1] s.
 
-    Zero in tasks without that termination.
+    It is zero in tasks without that termination.
     """
-    manager = getattr(env, "termination_manager", None)  # mjlab makes it after the observations.
+    # mjlab computes observations once before it creates this manager.
+    manager = getattr(env, "termination_manager", None)
     if manager is None or "stalled" not in manager.active_terms:
         return torch.zeros(env.num_envs, 1, device=env.device)
     return manager.get_term_cfg("stalled").func.seconds.unsqueeze(-1)
 
 
 class smoothed_joint_velocity(VelocityFilter):
-    """Joint velocities as the reward `standing_motion` smooths them, [N, J] rad/s."""
+    """Exponential moving average of joint velocities, as in `standing_motion`, [N, J] rad/s."""
 
     _step = 0
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
+        # Observations may be computed more than once in a step.
         if env.common_step_counter != self._step:
             self._step = env.common_step_counter
             self.smoothed(env)
@@ -82,10 +89,14 @@ class smoothed_joint_velocity(VelocityFilter):
 
 
 class physical_parameters:
-    """What randomisation drew: trunk mass change (kg), CoM offset (m), foot friction, servo gains.
+    """Random physical parameters of the robots, [N, 1 + 3 + 1 + 12 + 12].
 
-    [N, 1 + 3 + 1 + 12 + 12], gains as a ratio of the nominal ones. Parameters: `trunk`, the body;
-    `foot`, whose first geom stands for all.
+    These are the change of the trunk's mass (kg), the offset of its centre of mass (m), the feet's
+    friction, and stiffness and damping of the servos as ratios of the nominal ones.
+
+    Parameters:
+        trunk: The trunk's body.
+        foot: Geoms of a foot, the first of which stands for all feet.
     """
 
     def __init__(self, cfg: ObservationTermCfg, env: ManagerBasedRlEnv) -> None:
@@ -96,7 +107,9 @@ class physical_parameters:
     def __call__(
         self, env: ManagerBasedRlEnv, trunk: SceneEntityCfg, foot: SceneEntityCfg
     ) -> Tensor:
-        model, nominal, body = env.sim.model, env.sim.get_default_field, self._body
+        model = env.sim.model
+        nominal = env.sim.get_default_field
+        body = self._body
         mass = model.body_mass[:, body] - nominal("body_mass")[body]
         com = model.body_ipos[:, body].flatten(1) - nominal("body_ipos")[body].flatten()
         stiffness = model.actuator_gainprm[:, :, 0] / nominal("actuator_gainprm")[:, 0]

@@ -1,4 +1,4 @@
-"""Randomisation beyond mjlab's."""
+"""Randomisation that mjlab lacks."""
 
 import math
 
@@ -12,16 +12,18 @@ from torch import Tensor
 def servo_damping(
     env: ManagerBasedRlEnv, env_ids: Tensor | None, multiples: tuple[float, float]
 ) -> None:
-    """Multiply the nominal damping (Kd) of servos by a number drawn for each robot.
+    """Multiply the nominal damping (Kd) of servos by a random number for each robot.
 
-    All motors of a robot are of one make: they share the number.
+    All motors of a robot share the number, because they are of the same make.
 
     Args:
-        env: environment. env_ids: robots to draw for; None: all.
-        multiples: smallest and largest number; its logarithm is uniform.
+        env: The environment.
+        env_ids: Robots to randomise; None means all.
+        multiples: Smallest and largest number, whose logarithm is uniform.
     """
     ids = torch.arange(env.num_envs, device=env.device) if env_ids is None else env_ids.long()
-    low, high = (math.log(multiple) for multiple in multiples)
-    drawn = torch.exp(low + (high - low) * torch.rand(len(ids), 1, device=env.device))
+    low = math.log(multiples[0])
+    high = math.log(multiples[1])
+    multiple = torch.exp(low + (high - low) * torch.rand(len(ids), 1, device=env.device))
     nominal = env.sim.get_default_field("actuator_biasprm")[:, 2]
-    env.sim.model.actuator_biasprm[ids, :, 2] = nominal * drawn
+    env.sim.model.actuator_biasprm[ids, :, 2] = nominal * multiple

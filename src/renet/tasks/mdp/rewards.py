@@ -18,6 +18,8 @@ from renet.tasks.mdp.base_state import base_position, base_rotation, base_veloci
 from renet.tasks.mdp.commands import goal
 from renet.tasks.sensors import CALF_CONTACT, FEET_CONTACT, THIGH_TRUNK_CONTACT
 
+LEAST_SPEED = 0.2
+"""Commanded speed below which errors of the velocity are divided by this one, m/s."""
 SPOT_DRIFT = 0.3
 """Speed at which a robot told to turn on the spot earns nothing, m/s."""
 TURN_SLACK = 0.3
@@ -39,16 +41,17 @@ def linear_velocity(env: ManagerBasedRlEnv) -> Tensor:
 def velocity_tracking(env: ManagerBasedRlEnv) -> Tensor:
     """Eq. 6 where a goal steers; where a robot follows a velocity c, 1 - |v - c| / |c|, [N].
 
-    Never below 0. On the spot it is 1 - |v| / SPOT_DRIFT, times the share of the turn. Before a
-    wall or an edge it is that of a robot told to stand.
+    At least -1: it grows with every bit of motion in the right direction, also of a robot that
+    stands or goes the wrong way. On the spot it is 1 - |v| / SPOT_DRIFT, where that is positive
+    times the share of the turn. Before a wall or an edge it is that of a robot told to stand.
     """
     command = goal(env)
-    error = (base_velocity(env)[:, :2] - command.direction * command.speed.unsqueeze(-1)).norm(
-        dim=-1
-    )
-    moving = 1.0 - error / command.speed.clamp_min(1e-5)
-    spot = (1.0 - error / SPOT_DRIFT).clamp_min(0.0) * turn_tracking(env)
-    following = torch.where(command.speed > 0.0, moving, spot).clamp_min(0.0)
+    wanted = command.direction * command.speed.unsqueeze(-1)
+    error = (base_velocity(env)[:, :2] - wanted).norm(dim=-1)
+    moving = 1.0 - error / command.speed.clamp_min(LEAST_SPEED)
+    near = 1.0 - error / SPOT_DRIFT
+    spot = torch.where(near > 0.0, near * turn_tracking(env), near)
+    following = torch.where(command.speed > 0.0, moving, spot).clamp_min(-1.0)
     tracking = torch.where(command.free, following, linear_velocity(env))
     stopping = 1.0 / (1.0 + base_velocity(env)[:, :2].norm(dim=-1))
     return torch.where(before_barrier(env), stopping, tracking)
@@ -130,15 +133,6 @@ def orientation(env: ManagerBasedRlEnv) -> Tensor:
 
 SMOOTHING = 0.2
 """Time constant of smoothed joint velocities, s."""
-
-
-def alive(env: ManagerBasedRlEnv) -> Tensor:
-    """1 for every robot, [N].
-
-    Not in the paper. Sums below 0 are clipped: without a bonus half of a beginner's are, and a
-    first step in an unusual direction then earns as little as none.
-    """
-    return torch.ones(env.num_envs, device=env.device)
 
 
 class stepping:

@@ -1,4 +1,4 @@
-"""When an episode ends; leaving the tile is success, hence a time-out, not a failure."""
+"""Terminations of episodes. Leaving the tile is success, and therefore a time-out."""
 
 import torch
 from mjlab.envs import ManagerBasedRlEnv
@@ -11,7 +11,10 @@ from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
 
 PIT_DEPTH = 0.25
-"""Metres below a tile's start at which the base is in a gap, not above it."""
+"""Depth of the base below a tile's start at which it is in a gap, m."""
+MAP_DEPTH = 3.0
+"""Depth of the base below a tile's start at which it is below all ground, m; the highest stairs go
+2.1 m down."""
 
 
 def height_above_start(env: ManagerBasedRlEnv) -> Tensor:
@@ -20,68 +23,73 @@ def height_above_start(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def not_finite(env: ManagerBasedRlEnv) -> Tensor:
-    """NaN or infinity in the physics state, where those in forces end up, [N]."""
-    # A single one makes the sum not finite.
-    return ~(env.sim.data.qpos.sum(-1) + env.sim.data.qvel.sum(-1)).isfinite()
+    """True where positions or velocities are NaN or infinite, [N] bool."""
+    # One such number makes the sum NaN or infinite.
+    total = env.sim.data.qpos.sum(-1) + env.sim.data.qvel.sum(-1)
+    return ~total.isfinite()
 
 
 def in_gap(env: ManagerBasedRlEnv) -> Tensor:
-    """Base below the surface of a gap tile or of a ledge, [N]."""
+    """True where the base is below the surface of a gap tile or of a ledge, [N] bool."""
     return (height_above_start(env) < -PIT_DEPTH) & on_tiles(env, "gap", "ledge")
 
 
 def below_map(env: ManagerBasedRlEnv) -> Tensor:
-    """Base below everything a robot can stand on: it was pressed through the ground, [N]."""
-    return height_above_start(env) < -3.0  # The highest stairs go 2.1 m down.
+    """True where the base was pressed through the ground, [N] bool."""
+    return height_above_start(env) < -MAP_DEPTH
 
 
 def beyond_limits(
     env: ManagerBasedRlEnv, joint_margin: float, joint_speed: float, turn_rate: float
 ) -> Tensor:
-    """Readings at which `renet deploy` brakes a robot, [N].
+    """True where `renet deploy` would brake a real robot, [N] bool.
 
     Args:
-        env: the environment.
-        joint_margin: how far a joint may be beyond its range, rad.
-        joint_speed: fastest of a joint, rad/s.
-        turn_rate: fastest of the base around an axis of its own frame, rad/s.
+        env: The environment.
+        joint_margin: Largest distance of a joint from its range, rad.
+        joint_speed: Largest speed of a joint, rad/s.
+        turn_rate: Largest angular velocity of the base around an axis of its frame, rad/s.
     """
     robot = env.scene["robot"].data
     lower, upper = robot.joint_pos_limits.unbind(-1)
     position = robot.joint_pos
-    outside = (position < lower - joint_margin) | (position > upper + joint_margin)
+    out_of_range = (position < lower - joint_margin) | (position > upper + joint_margin)
     too_fast = robot.joint_vel.abs() > joint_speed
-    turning = robot.root_link_ang_vel_b.abs() > turn_rate
-    return outside.any(-1) | too_fast.any(-1) | turning.any(-1)
+    turns_too_fast = robot.root_link_ang_vel_b.abs() > turn_rate
+    return out_of_range.any(-1) | too_fast.any(-1) | turns_too_fast.any(-1)
 
 
 def left_tile(env: ManagerBasedRlEnv) -> Tensor:
-    """Walked off its tile in any direction, [N]."""
+    """True where a robot walked off its tile in any direction, [N] bool."""
     return distance_from_start(env) > TILE / 2
 
 
 class stalled:
-    """Stands where it was told to walk, [N].
+    """True where a robot stands although its command is to walk, [N] bool; for training only.
 
-    Training only. Giving up in front of a stair otherwise earns the yaw reward for the rest of the
-    episode, safer than any attempt to climb.
+    Otherwise a robot that gives up in front of a stair would earn the yaw reward for the rest of
+    the episode, which is safer than any attempt to climb.
 
-    Parameters: `patience`, seconds in which a robot that is told to walk must make `progress`, m.
+    Parameters:
+        patience: Time in which a robot must make progress, s.
+        progress: Distance that counts as progress, m.
     """
 
     def __init__(self, cfg: TerminationTermCfg, env: ManagerBasedRlEnv) -> None:
+        # Position of the last progress; infinitely far away at the beginning of an episode.
         self._origin = torch.full((env.num_envs, 2), torch.inf, device=env.device)
         self.seconds = torch.zeros(env.num_envs, device=env.device)
-        """Since the last progress, [N]."""
+        """Time since the last progress, [N] s."""
 
     def __call__(
         self, env: ManagerBasedRlEnv, patience: float = 3.0, progress: float = 0.15
     ) -> Tensor:
         position = base_position(env)[:, :2]
-        waits = (position - self._origin).norm(dim=-1) < progress
-        waits &= (goal(env).speed > 0.0) & ~before_barrier(env)
-        self._origin = torch.where(waits.unsqueeze(-1), self._origin, position)
-        self.seconds = (self.seconds + env.step_dt) * waits
+        is_still = (position - self._origin).norm(dim=-1) < progress
+        # A robot may stand where its command says so, or a wall is ahead.
+        is_still &= (goal(env).speed > 0.0) & ~before_barrier(env)
+        self._origin = torch.where(is_still.unsqueeze(-1), self._origin, position)
+        self.seconds = (self.seconds + env.step_dt) * is_still
         return self.seconds > patience
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:

@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# Walks the quick set of renet-faults 3 with the policies that ship, rivals of their selector, and
+# policies of others: benchmark.sh FOLDER, which holds go1_policy.onnx, himloco.pt,
+# go2_moe_cts_124k.pt and robot_lab.pt (docs/benchmark.md says where they are).
+set -euo pipefail
+models=$1
+cd "$(dirname "$0")/.."
+kept=benchmarks/results/benchmark
+mkdir -p "$kept"
+keep() { cp "results/benchmark/$1/result.json" "$kept/$1.json"; }
+theirs() { # NAME FILE ADAPTER
+    renet evaluate benchmark --quick --policy "$models/$2" --adapter "$3" --method "$1" \
+        --out "results/benchmark/$1"
+    keep "$1"
+}
+judge() { # NAME ARGUMENTS...
+    python benchmarks/judges.py "${@:2}" --study.quick --study.out "results/benchmark/$1"
+    keep "$1"
+}
+
+for bundle in go1-parkour go2-parkour; do
+    renet evaluate benchmark --quick --bundle "$bundle" --out "results/benchmark/$bundle"
+    keep "$bundle"
+done
+theirs playground go1_policy.onnx playground
+theirs himloco himloco.pt himloco
+theirs robogauge go2_moe_cts_124k.pt robogauge
+theirs robot-lab robot_lab.pt robot-lab
+judge oracle oracle
+judge oracle_withholds oracle --withholds
+judge gate gate
+judge gate_withholds gate --withholds
+judge return return
+python benchmarks/paper/kilometre.py --laps 1 --robots 5 --out results/benchmark/kilometre
+cp results/benchmark/kilometre/summary.json "$kept/kilometre.json"
+python tools/tables.py --fill

@@ -1,0 +1,207 @@
+"""Puts an adapter and a model into renet's studies."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from renet.bundle import pretrained
+from renet.errors import RenetError, printable, unknown_name
+from renet.evaluation.adapters.base import Adapter, Senses
+from renet.evaluation.adapters.models import MAX_MODEL, open_model
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.results import Provenance
+from renet.files import read_bytes
+from renet.interface import (
+    ACTION_SIZE,
+    DEPTH_RANGE,
+    MAX_TURN,
+    PROPRIOCEPTION,
+    TURN_GAIN,
+    proprioception_slices,
+)
+from renet.tasks import RobotCfg
+
+ADAPTERS = ("onnx-depth", "playground", "himloco", "robogauge", "robot-lab")
+"""Adapters that come with renet, each a module of this package."""
+SLICES = proprioception_slices()
+SCALES = {term.name: term.scale for term in PROPRIOCEPTION}
+
+
+def find_adapter(name: str) -> type[Adapter]:
+    """The adapter of a name, or of a Python file that defines a class `Adapter`.
+
+    Raises RenetError where there is none.
+    """
+    if name.endswith(".py"):
+        return _adapter_of_file(Path(name))
+    if name not in ADAPTERS:
+        raise unknown_name("adapter", name, (*ADAPTERS, "FILE.py"))
+    module = importlib.import_module(f"renet.evaluation.adapters.{name.replace('-', '_')}")
+    return module.Adapter
+
+
+def _adapter_of_file(path: Path) -> type[Adapter]:
+    """The class `Adapter` of a user's own file."""
+    if not path.is_file():
+        raise RenetError(f"adapter {path} does not exist")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise RenetError(
+            f"adapter {path} cannot be imported: {type(error).__name__}: {printable(str(error))}"
+        ) from error
+    found = getattr(module, "Adapter", None)
+    if not (isinstance(found, type) and issubclass(found, Adapter)) or found is Adapter:
+        raise RenetError(f"{path} defines no class Adapter(renet.evaluation.adapters.base.Adapter)")
+    return found
+
+
+class AdaptedPolicy:
+    """An adapter in the shape of a study's policy (`renet.pilot.policy.Policy`)."""
+
+    def __init__(
+        self,
+        adapter: Adapter,
+        robot: RobotCfg,
+        told: str,
+        default_position: np.ndarray,
+        velocity: Callable[[], np.ndarray],
+    ) -> None:
+        """Wrap an adapter.
+
+        Args:
+            adapter: of N robots. robot: in the scene.
+            told: how the bundle's robots are told where to go, see `interface.TOLD`.
+            default_position: of the joints, [12] rad. velocity: the base's true velocity, [N, 3].
+        """
+        self._adapter = adapter
+        self._robot = robot
+        self._told = told
+        self._default = default_position
+        self._velocity = velocity
+        self._driven = np.ones(adapter.num_robots, bool)
+        self.anomaly_score = np.zeros(adapter.num_robots)
+
+    def reset(self, mask: np.ndarray | None = None) -> None:
+        """Forget the past of the masked robots, of all by default."""
+        everybody = np.ones(self._adapter.num_robots, bool)
+        self._adapter.reset(everybody if mask is None else mask)
+
+    def step(
+        self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
+    ) -> np.ndarray:
+        """Actions [N, 12] in the study's units."""
+        part = {name: proprioception[:, place] / SCALES[name] for name, place in SLICES.items()}
+        command = part["command"]
+        if self._told == "heading":
+            command = _twist(command)
+        senses = Senses(
+            angular_velocity=part["base_angular_velocity"],
+            gravity=part["projected_gravity"],
+            command=command,
+            joint_position=part["joint_position"] + self._default,
+            joint_velocity=part["joint_velocity"],
+            depth=depth * DEPTH_RANGE,
+            velocity=self._velocity(),
+        )
+        target = np.asarray(self._adapter.act(senses), np.float32)
+        expected = (self._adapter.num_robots, ACTION_SIZE)
+        if target.shape != expected or not np.isfinite(target).all():
+            raise RenetError(
+                f"adapter {type(self._adapter).__module__} gives joint targets of shape"
+                f" {list(target.shape)}, or not finite: {list(expected)} are needed"
+            )
+        return (target - self._default).astype(np.float32) / np.float32(self._robot.action_scale)
+
+
+def _twist(heading: np.ndarray) -> np.ndarray:
+    """The twist of a command (c_x, sin e, cos e), as policies that are told twists get it."""
+    speed, sine, cosine = heading.T
+    turn = np.clip(TURN_GAIN * np.arctan2(sine, cosine), -MAX_TURN, MAX_TURN)
+    return np.stack((speed, np.zeros_like(speed), turn * (speed > 0.0)), axis=1)
+
+
+class AdaptedEvaluator(Evaluator):
+    """A model of somebody else's in the place of the bundle that ships for its robot."""
+
+    def __init__(self, path: Path, adapter: str, engine: str = "auto") -> None:
+        """Open a model; raises RenetError where it, or the adapter, cannot be used."""
+        self.adapter = find_adapter(adapter)
+        super().__init__(pretrained(self.adapter.bundle), engine)
+        self._path = path
+        if self.adapter.needs_velocity:
+            self.privileged = ("velocity",)
+        self._check()
+
+    @property
+    def entries(self) -> dict[str, str]:
+        """Entries of the benchmark that the policy can walk as, and the rollout's mode of each."""
+        if self.adapter.uses_camera:
+            return {"camera": "camera", "healthy": "camera"}
+        return {"blind": "blind"}
+
+    def _check(self) -> None:
+        """Act once, before minutes are spent: a wrong file is told at once."""
+        still = np.zeros((1, 3), np.float32)
+        zero = np.zeros((1, ACTION_SIZE), np.float32)
+        senses = Senses(
+            angular_velocity=still,
+            gravity=np.array([[0.0, 0.0, -1.0]], np.float32),
+            command=still,
+            joint_position=zero + self._default,
+            joint_velocity=zero,
+            depth=np.full((1, 48, 64), DEPTH_RANGE, np.float32),
+            velocity=still,
+        )
+        adapter = self.adapter(open_model(self._path), 1)
+        adapter.reset(np.ones(1, bool))
+        target = np.asarray(adapter.act(senses))
+        if target.shape != (1, ACTION_SIZE):
+            raise RenetError(
+                f"{self._path} gives {list(target.shape)} instead of 12 joint targets: choose"
+                " another --adapter"
+            )
+
+    @cached_property
+    def _default(self) -> np.ndarray:
+        """Default joint positions, which proprioception counts from, [12] rad."""
+        return np.asarray(self.bundle.manifest.robot.arrays["default_position"], np.float32)
+
+    @property
+    def robot(self) -> RobotCfg:
+        """The bundle's robot with the gains of the policy's training."""
+        robot = super().robot
+        return replace(robot, stiffness=self.adapter.stiffness, damping=self.adapter.damping)
+
+    def make_policy(self, num_robots: int) -> AdaptedPolicy:
+        """The policy for N robots of the newest environment."""
+        adapter = self.adapter(open_model(self._path, num_robots), num_robots)
+        return AdaptedPolicy(
+            adapter,
+            self.robot,
+            self.bundle.manifest.told,
+            self._default,
+            self._true_velocity if self.adapter.needs_velocity else lambda: np.zeros((0, 3)),
+        )
+
+    def _true_velocity(self) -> np.ndarray:
+        """Of the newest environment's robots, [N, 3] m/s."""
+        return self.env.observation["velocity"].numpy()
+
+    def provenance(self, seed: int) -> Provenance:
+        """The file's name and hash in place of a bundle's."""
+        digest = hashlib.sha256(read_bytes(self._path, MAX_MODEL, "policy"))
+        digest.update(self.adapter.__name__.encode() + self.adapter.__module__.encode())
+        engine = "native" if self.engine == "auto" else self.engine
+        return Provenance(self._path.stem, digest.hexdigest(), engine, seed)

@@ -1,0 +1,50 @@
+"""A robot that nobody trained on: the policy's own, grown by a tenth, with the same motors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from renet.tasks import RobotCfg
+
+GROWN = 1.1
+"""Length of the stranger's parts relative to the robot's."""
+
+
+def stranger(robot: RobotCfg, factor: float = GROWN) -> RobotCfg:
+    """A robot whose every length is multiplied; density, motors and gains stay."""
+
+    def spec() -> mujoco.MjSpec:
+        return grow(robot.spec(), factor)
+
+    position = tuple(factor * x for x in robot.camera.position)
+    return replace(
+        robot,
+        spec=spec,
+        height=factor * robot.height,
+        foot_radius=factor * robot.foot_radius,
+        map_height=factor * robot.map_height,
+        camera=replace(robot.camera, position=position),
+    )
+
+
+def grow(spec: mujoco.MjSpec, factor: float) -> mujoco.MjSpec:
+    """Multiply every length of a robot's MJCF, in place; masses grow with volume."""
+    for mesh in spec.meshes:
+        mesh.scale = factor * np.array(mesh.scale)
+    for body in spec.bodies:
+        body.pos = factor * np.array(body.pos)
+        body.ipos = factor * np.array(body.ipos)
+        body.mass *= factor**3
+        body.inertia = factor**5 * np.array(body.inertia)
+        body.fullinertia = factor**5 * np.array(body.fullinertia)
+    for geom in spec.geoms:
+        geom.pos = factor * np.array(geom.pos)
+        geom.size = factor * np.array(geom.size)
+        geom.fromto = factor * np.array(geom.fromto)
+        geom.mass *= factor**3
+    for part in (*spec.sites, *spec.joints):
+        part.pos = factor * np.array(part.pos)
+    return spec

@@ -1,0 +1,104 @@
+"""`renet evaluate benchmark --verify FILE`: ten episodes of a result are walked again."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any, Protocol
+
+from renet.errors import RenetError, printable
+from renet.evaluation.benchmark.episodes import BLOCK
+from renet.evaluation.benchmark.results import SETS, read_result
+from renet.evaluation.results import plain
+
+EXACT = ("obstacles", "crossed", "fell", "arrived")
+"""What must be the same in an episode that agrees."""
+TOLERATED = 0.1
+"""Share of the rows that may differ: other processors round differently, and falls are sensitive
+to it."""
+
+
+class Verifiable(Protocol):
+    """What is needed of the study that walked: `BenchmarkStudy` is one."""
+
+    @property
+    def seed(self) -> int:
+        """Of the provenance."""
+        ...
+
+    @property
+    def sealed(self) -> Path | None:
+        """The file of sealed families."""
+        ...
+
+    def make_evaluator(self) -> Any:
+        """The evaluator of the policy."""
+        ...
+
+    def modes(self, evaluator: Any) -> dict[str, str]:
+        """The rollout's mode of each entry."""
+        ...
+
+    def walk(self, evaluator: Any, first: int) -> dict[str, Any]:
+        """The rows of a block of episodes."""
+        ...
+
+
+def chosen_block(result: dict[str, Any]) -> int:
+    """First number of the block to walk again; its choice depends on every number of the result."""
+    numbers = SETS[result["episodes"]]
+    digest = hashlib.sha256(repr(result["rows"]).encode()).digest()
+    blocks = range(numbers.start, numbers.stop, BLOCK)
+    return blocks[int.from_bytes(digest[:8]) % len(blocks)]
+
+
+def verify(study: Verifiable, path: Path) -> str:
+    """Walk a block of a result again; returns a sentence on what agrees.
+
+    Raises RenetError if the result is of another policy, or does not agree.
+    """
+    result = read_result(path)
+    evaluator = study.make_evaluator()
+    sha256 = evaluator.provenance(study.seed).bundle_hash
+    if sha256 != result["policy"]["sha256"]:
+        raise RenetError(
+            printable(
+                f"{path} is of the policy {result['policy']['sha256'][:12]}…, this is"
+                f" {sha256[:12]}…: give the --bundle, or the --policy, of the result"
+            )
+        )
+    if (result["episodes"] == "sealed") != (study.sealed is not None):
+        raise RenetError(
+            f"{printable(str(path))}: give --sealed for sealed episodes, and only then"
+        )
+    first = chosen_block(result)
+    walked_entries = study.modes(evaluator)
+    entries = [entry for entry in walked_entries if entry in result["scores"]]
+    if not entries:
+        raise RenetError(
+            f"{printable(str(path))} has none of the entries {', '.join(walked_entries)}"
+        )
+    walked = plain(study.walk(evaluator, first))["rows"]
+    again = {(row["entry"], row["episode"]): row for row in walked}
+    claimed = [
+        row
+        for row in result["rows"]
+        if row["entry"] in entries and first <= row["episode"] < first + BLOCK
+    ]
+    differ = [
+        row
+        for row in claimed
+        if any(row[name] != again[row["entry"], row["episode"]][name] for name in EXACT)
+    ]
+    last = first + BLOCK - 1
+    if len(differ) > TOLERATED * len(claimed):
+        worst = differ[0]
+        raise RenetError(
+            f"{printable(str(path))} does not hold: of episodes {first} to {last},"
+            f" {len(differ)} of {len(claimed)} walks end otherwise, the first in episode"
+            f" {worst['episode']} ({printable(worst['entry'])})"
+        )
+    return (
+        f"{printable(str(path))} holds: of episodes {first} to {last},"
+        f" {len(claimed) - len(differ)} of {len(claimed)} walks end as the file says"
+    )

@@ -1,0 +1,95 @@
+"""Somebody else's policy as a policy of the studies."""
+
+import numpy as np
+import onnx
+import onnx.parser
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.adapters.evaluator import AdaptedEvaluator, find_adapter
+
+STILL = """
+<ir_version: 8, opset_import: ["" : 17]>
+still (float[N, 45] observation, float[N, 48, 64] depth) => (float[N, 12] action)
+{
+    columns = AveragePool <kernel_shape = [53]> (depth)
+    mean = ReduceMean <axes = [1], keepdims = 0> (columns)
+    little = Constant <value_float = 0.01> ()
+    action = Mul (mean, little)
+}
+"""
+OWN = """
+from renet.evaluation.adapters import base
+
+class Adapter(base.Adapter):
+    def act(self, senses):
+        return senses.joint_position + self.model.run(senses.joint_position)[0]
+"""
+
+
+@pytest.fixture
+def still(tmp_path):
+    onnx.save(onnx.parser.parse_model(STILL), tmp_path / "still.onnx")
+    return tmp_path / "still.onnx"
+
+
+def test_actions_are_those_of_the_model(still):
+    evaluator = AdaptedEvaluator(still, "onnx-depth")
+    policy = evaluator.make_policy(2)
+    policy.reset()
+    depth = np.full((2, 48, 64), 0.5, np.float32)
+    action = policy.step(np.zeros((2, 45), np.float32), depth, np.zeros(2, bool))
+    np.testing.assert_allclose(action, 0.005, atol=1e-6)
+
+
+def test_a_heading_is_told_as_a_twist(still, monkeypatch):
+    evaluator = AdaptedEvaluator(still, "onnx-depth")
+    policy = evaluator.make_policy(1)
+    seen = []
+    monkeypatch.setattr(policy._adapter, "act", lambda s: seen.append(s) or s.joint_position)
+    monkeypatch.setattr(policy, "_told", "heading")
+    proprioception = np.zeros((1, 45), np.float32)
+    proprioception[0, 6:9] = 0.6, np.sin(0.2), np.cos(0.2)
+    policy.step(proprioception, np.ones((1, 48, 64), np.float32), np.zeros(1, bool))
+    np.testing.assert_allclose(seen[0].command, [[0.6, 0.0, 0.3]], atol=1e-6)
+
+
+def test_another_file_is_another_policy(still, tmp_path):
+    other = tmp_path / "other.onnx"
+    onnx.save(onnx.parser.parse_model(STILL.replace("0.01", "0.02")), other)
+    hashes = {AdaptedEvaluator(f, "onnx-depth").provenance(1).bundle_hash for f in (still, other)}
+    assert len(hashes) == 2
+
+
+def test_a_wrong_adapter_is_told_before_anybody_walks(still):
+    with pytest.raises(RenetError, match="this adapter gives 1: choose another --adapter"):
+        AdaptedEvaluator(still, "robot-lab")
+
+
+def test_an_adapter_of_ones_own(tmp_path):
+    text = '<ir_version: 8, opset_import: ["" : 17]>\nt (float[N, 12] x) => (float[N, 12] y)'
+    model = onnx.parser.parse_model(f"{text} {{ y = Identity (x) }}")
+    onnx.save(model, tmp_path / "twice.onnx")
+    (tmp_path / "mine.py").write_text(OWN)
+    evaluator = AdaptedEvaluator(tmp_path / "twice.onnx", str(tmp_path / "mine.py"))
+    assert [*evaluator.entries] == ["blind"]
+    assert evaluator.robot.damping == 1.0
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("import nowhere_at_all", "cannot be imported: ModuleNotFoundError"),
+        ("Adapter = 3", "defines no class Adapter"),
+    ],
+)
+def test_a_broken_adapter_is_told_in_one_line(tmp_path, source, message):
+    (tmp_path / "mine.py").write_text(source)
+    with pytest.raises(RenetError, match=message) as error:
+        find_adapter(str(tmp_path / "mine.py"))
+    assert "\n" not in str(error.value)
+
+
+def test_an_unknown_adapter_is_told():
+    with pytest.raises(RenetError, match="did you mean himloco"):
+        find_adapter("himlocoo")

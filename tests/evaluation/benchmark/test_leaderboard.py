@@ -1,0 +1,61 @@
+"""The leaderboard: order, intervals, and names that strangers chose."""
+
+import json
+
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.benchmark import leaderboard
+
+from .rows import result
+
+GOOD = [2] * 18 + [1, 1]
+BAD = [1] * 20
+
+
+def write(path, content):
+    path.write_text(json.dumps(content, default=float))
+    return path
+
+
+def test_the_best_comes_first_and_leads_are_of_the_first_file():
+    title, header, rows = leaderboard.ranking([result(BAD, "worse"), result(GOOD, "better")])
+    assert [line[1] for line in rows] == ["better", "worse"]
+    assert rows[1][header.index("behind it")] == "-"
+    assert rows[0][header.index("behind it")].startswith("-45.0 (")
+    assert "it: worse, memory" in title
+
+
+def test_three_trainings_of_a_method_are_one_line():
+    trainings = [result(crossed, f"t{i}", "ours") for i, crossed in enumerate((GOOD, BAD, GOOD))]
+    _, header, rows = leaderboard.ranking(trainings)
+    assert len(rows) == 1
+    assert rows[0][header.index("over")] == "3 trainings"
+    assert float(rows[0][header.index("score")]) == pytest.approx((95 + 50 + 95) / 3, abs=0.05)
+
+
+def test_different_episodes_are_not_compared():
+    with pytest.raises(RenetError, match="results of the same episodes"):
+        leaderboard.ranking([result(GOOD), result([2] * 200, episodes="full")])
+
+
+def test_names_from_files_are_text(tmp_path, capsys):
+    name = "[x](javascript:1)|<b>\x1b[31m"
+    file = write(tmp_path / "a.json", result(GOOD, name))
+    out = leaderboard.make_leaderboard(leaderboard.LeaderboardCfg((file,), tmp_path / "out.md"))
+    text = out.read_text()
+    assert "\\[x\\](javascript:1)\\|\\<b\\>" in text
+    assert "\x1b[31m" not in text
+    assert "\x1b[31m" not in capsys.readouterr().out
+
+
+def test_every_line_of_the_markdown_has_all_cells(tmp_path):
+    file = write(tmp_path / "a.json", result(GOOD))
+    out = leaderboard.make_leaderboard(leaderboard.LeaderboardCfg((file,), tmp_path / "out.md"))
+    head, rule, first = out.read_text().splitlines()[2:5]
+    assert head.count("|") == rule.count("|") == first.count("|")
+
+
+def test_no_file_is_told():
+    with pytest.raises(RenetError, match="give result files"):
+        leaderboard.make_leaderboard(leaderboard.LeaderboardCfg(()))
