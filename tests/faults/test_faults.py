@@ -41,7 +41,7 @@ def spoilt(fault: str, level: float, image: np.ndarray | None = None, rate=None)
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)
 @pytest.mark.parametrize("severity", SEVERITIES)
-def test_every_fault_spoils_while_it_lasts_and_only_then(fault: str, severity: int) -> None:
+def test_fault_acts_only_while_it_lasts(fault: str, severity: int) -> None:
     frames = play([Injection.of(fault, severity, onset=25, duration=1.0)])
     for t, frame in enumerate(frames):
         assert (frame.image.shape, frame.image.dtype) == ((2, *DEPTH_SHAPE), np.float32)
@@ -53,7 +53,7 @@ def test_every_fault_spoils_while_it_lasts_and_only_then(fault: str, severity: i
 
 
 @pytest.mark.parametrize("name", SENSOR_FAULTS)
-def test_robots_it_is_not_at_work_on_keep_their_frames(name: str) -> None:
+def test_other_robots_keep_their_frames(name: str) -> None:
     fault = FAULTS[name](FAULTS[name].level_of(5), [np.random.default_rng(n) for n in range(2)])
     for tick in range(20):
         given = Frames.healthy(ground(2, tick), np.tile(TURNING, (2, 1)))
@@ -64,7 +64,7 @@ def test_robots_it_is_not_at_work_on_keep_their_frames(name: str) -> None:
 
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)
-def test_robots_draw_their_own_noise_by_stream_and_seed(fault: str) -> None:
+def test_noise_follows_stream_and_seed(fault: str) -> None:
     once, again = (play([Injection.of(fault, 4, onset=0)], seed=3) for _ in range(2))
     injector = Injector([(Injection.of(fault, 4, onset=0),)], [1], 3)
     for t, (a, b) in enumerate(zip(once, again, strict=True)):
@@ -73,7 +73,7 @@ def test_robots_draw_their_own_noise_by_stream_and_seed(fault: str) -> None:
         np.testing.assert_array_equal(alone.image[0], a.image[1])
 
 
-def test_gaussian_has_the_stated_deviation_and_salt_and_pepper_the_share_half_each() -> None:
+def test_noise_has_stated_levels() -> None:
     grey = np.full((8, *DEPTH_SHAPE), 0.5)
     for sigma in (0.05, 0.1):
         image = spoilt("gaussian", sigma, grey).image
@@ -96,7 +96,7 @@ def test_covered_share_is_as_stated(fault: str) -> None:
         assert (spoilt(fault, share).image != GROUND).mean() == pytest.approx(share, abs=0.02)
 
 
-def test_glare_holes_read_zero_and_raise_the_invalid_fraction_filled_or_not() -> None:
+def test_glare_raises_invalid_share() -> None:
     raw, filled = spoilt("glare", 0.3), spoilt("glare_filled", 0.3)
     holes = raw.image == 0
     assert holes.mean() == pytest.approx(0.3, abs=0.01)
@@ -108,7 +108,7 @@ def test_glare_holes_read_zero_and_raise_the_invalid_fraction_filled_or_not() ->
     assert (holes[:, :, 1:] & holes[:, :, :-1]).mean() / holes.mean() > 0.8
 
 
-def test_near_field_turns_what_is_closer_into_holes_and_wrong_scale_multiplies_and_caps() -> None:
+def test_near_field_and_wrong_scale() -> None:
     after, near = spoilt("near_field", 0.5), GROUND < 0.25
     np.testing.assert_array_equal(after.image, np.where(near, 0, GROUND))
     np.testing.assert_allclose(after.invalid, near.mean(axis=(1, 2)))
@@ -117,7 +117,7 @@ def test_near_field_turns_what_is_closer_into_holes_and_wrong_scale_multiplies_a
 
 
 @pytest.mark.parametrize(("fault", "fresh"), [("frozen", True), ("unplugged", False)])
-def test_the_last_image_is_repeated_as_new_or_ages_until_the_camera_returns(fault, fresh) -> None:
+def test_frozen_repeats_and_unplugged_ages(fault, fresh) -> None:
     frames = play([Injection(fault, 1.0, onset=25)])
     for t in range(5, 15):
         np.testing.assert_array_equal(frames[t].image, ground(2, 4))
@@ -132,7 +132,7 @@ def test_dropped_loses_the_stated_share() -> None:
     assert 1 - np.mean([f.fresh for f in frames]) == pytest.approx(0.3, abs=0.04)
 
 
-def test_latency_serves_an_image_as_old_as_stated() -> None:
+def test_latency_delays_images_as_stated() -> None:
     frames = play([Injection("latency", 200, onset=0)], n=8, ticks=30)
     grounds = np.stack([ground(8, t) for t in range(30)])
     # The first column's grain tells frames apart: [served, taken, robot].
@@ -146,7 +146,7 @@ def test_latency_serves_an_image_as_old_as_stated() -> None:
     np.testing.assert_array_equal(second.image, first.image, "until another one arrives")
 
 
-def test_motion_blur_moves_the_image_by_rate_times_exposure_and_whole_pixels_exactly() -> None:
+def test_motion_blur_follows_rate_and_exposure() -> None:
     edge = np.zeros((1, *DEPTH_SHAPE), np.float32)
     edge[:, :, 32:] = 1
     blurred = spoilt("motion_blur", 40, edge, np.array([[0.0, 0.0, 3.0]])).image[0, 0]
@@ -158,7 +158,7 @@ def test_motion_blur_moves_the_image_by_rate_times_exposure_and_whole_pixels_exa
     np.testing.assert_allclose(shifted(image, 2, -3)[2:, :-3], image[:-2, 3:], rtol=1e-6)
 
 
-def test_fill_holes_takes_the_left_then_the_right_then_the_row_above() -> None:
+def test_holes_fill_from_left_right_above() -> None:
     image = np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]])
     holes = np.array([[0, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
     np.testing.assert_array_equal(fill_from_left(image, holes), [[1, 1, 1], [5, 5, 5], [5, 5, 5]])
@@ -169,7 +169,7 @@ def test_faults_compose_in_order() -> None:
     assert [np.unique(frames[t].image).tolist() for t in (4, 6)] == [[1.0], [0.5]]
 
 
-def test_a_fault_comes_again_on_time_and_without_flicker() -> None:
+def test_fault_repeats_on_time() -> None:
     injection = Injection("gaussian", 1.0, onset=100, duration=0.1, period=0.4)
     at_work = np.array([injection.at_work(step) for step in range(600)])
     np.testing.assert_array_equal(np.flatnonzero(at_work[::5]) * 5, np.arange(100, 600, 20))
@@ -213,7 +213,7 @@ def test_elapsed_is_within_the_duration_or_off(onset, duration, gap, step) -> No
 
 @pytest.mark.parametrize("kind", ["blackout", "frozen", "glare"])
 @pytest.mark.parametrize("severity", SEVERITIES)
-def test_an_intermittent_fault_is_on_for_the_stated_part_of_every_second(kind, severity) -> None:
+def test_intermittent_fault_has_stated_share(kind, severity) -> None:
     injection = Injection.of(f"intermittent_{kind}", severity, onset=25)
     for t, frame in enumerate(play([injection], ticks=40)):
         seconds, tick = divmod(t - 5, 10)
@@ -223,7 +223,7 @@ def test_an_intermittent_fault_is_on_for_the_stated_part_of_every_second(kind, s
             np.testing.assert_array_equal(frame.image, ground(2, 4 + 10 * seconds))
 
 
-def test_lost_frames_show_the_glare_of_the_last_delivered_one() -> None:
+def test_dropped_frames_keep_old_glare() -> None:
     frames = play([Injection.of("glare_dropped", 4, onset=25)], ticks=40)[5:]
     glare = FAULTS["glare"].level_of(4)
     assert all(f.invalid[f.fresh] == pytest.approx(glare, abs=1e-3) for f in frames)
@@ -271,7 +271,7 @@ def test_views_compose_and_images_pass_untouched() -> None:
     assert injector.at_work(10).tolist() == [True, False]
 
 
-def test_a_mount_creeps_about_one_axis_up_to_the_hardest_knock() -> None:
+def test_mount_creeps_up_to_limit() -> None:
     schedule = (Injection("mount_creep", 4.0, onset=50),)
     injector = Injector([schedule] * 2, [0, 1], 5, physical=True)
     steps = (0, 50, 100, 200, 1000)
@@ -284,7 +284,7 @@ def test_a_mount_creeps_about_one_axis_up_to_the_hardest_knock() -> None:
 
 
 @pytest.mark.parametrize(("count", "share", "expected"), [(4, 0.2, 1), (24, 0.2, 5), (24, 1.0, 24)])
-def test_a_share_of_the_obstacles_at_least_one(count: int, share: float, expected: int) -> None:
+def test_share_of_obstacles_is_at_least_one(count: int, share: float, expected: int) -> None:
     tiles = [list(range(count)), list(range(100, 100 + count))]
     chosen = choose_evenly(tiles, share)
     assert [len(chosen & set(geoms)) for geoms in tiles] == [expected, expected]
@@ -292,7 +292,7 @@ def test_a_share_of_the_obstacles_at_least_one(count: int, share: float, expecte
 
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)
-def test_spared_robots_keep_their_frames_and_the_others_are_spoilt_alike(fault: str) -> None:
+def test_spared_robots_keep_their_frames(fault: str) -> None:
     schedules = [(Injection.of(fault, 4, onset=10),)] * 3
     whole, sparing = (Injector(schedules, [7, 8, 7], 0) for _ in range(2))
     for tick in range(12):

@@ -44,14 +44,14 @@ def test_a_picture_is_turned_about_its_middle() -> None:
     assert sorted({*np.abs(rows - 23.5).tolist()}) == [8.5, 9.5, 10.5, 11.5]
 
 
-def test_split_rows_are_the_images_in_another_order() -> None:
+def test_split_reorders_rows() -> None:
     split = play("split", 0.25, 1)
     np.testing.assert_array_equal(split[:, :, 12:], LIVE[:, :, :36])
     np.testing.assert_array_equal(split[:, :, :12], LIVE[:, :, 36:])
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5])
-def test_a_band_of_rows_is_from_before_the_fault_and_the_rest_is_live(share: float) -> None:
+def test_half_frozen_keeps_a_band(share: float) -> None:
     images = play("half_frozen", share, 8)
     old = (images == IMAGES[BEFORE - 1]).all(axis=-1)
     assert (old ^ (images == LIVE).all(axis=-1)).all()
@@ -62,7 +62,7 @@ def test_a_band_of_rows_is_from_before_the_fault_and_the_rest_is_live(share: flo
     assert len({row.tobytes() for row in old[0]}) > 2, "elsewhere on each robot"
 
 
-def test_the_filter_is_a_weighted_mean_of_all_frames_since_the_last_good_one() -> None:
+def test_temporal_filter_is_a_weighted_mean() -> None:
     share = 0.75
     images = play("temporal_filter", share, 1)[:, 0]
     for newest in (0, 1, 5, 20):
@@ -73,7 +73,7 @@ def test_the_filter_is_a_weighted_mean_of_all_frames_since_the_last_good_one() -
         np.testing.assert_allclose(images[newest], mean, atol=1e-5)
 
 
-def test_gain_drifts_both_ways_by_the_stated_part_to_half_or_double() -> None:
+def test_gain_drifts_both_ways() -> None:
     images = play("gain_drift", 20, 8)
     dark = LIVE < 0.4  # Double of it is within the range.
     factors = np.where(dark, images / LIVE, np.nan)
@@ -88,7 +88,7 @@ def test_gain_drifts_both_ways_by_the_stated_part_to_half_or_double() -> None:
     np.testing.assert_allclose(wild[grows][:, LIVE[-1, 0] < 0.4], 2.0, rtol=1e-5)
 
 
-def test_depth_wraps_to_the_remainder_and_no_light_returns_from_out_of_range() -> None:
+def test_depth_wraps_to_the_remainder() -> None:
     metres = np.linspace(0.1, 2.0, 64)
     image = np.repeat(metres[None, None] / DEPTH_RANGE, DEPTH_SHAPE[0], axis=1).astype(np.float32)
     fault = FAULTS["wrap_around"](0.75, [np.random.default_rng(0)])
@@ -99,7 +99,7 @@ def test_depth_wraps_to_the_remainder_and_no_light_returns_from_out_of_range() -
 
 
 @pytest.mark.parametrize("step", [64, 256])
-def test_quantised_depth_is_the_middle_of_its_terrace(step: float) -> None:
+def test_quantised_depth_is_terrace_middle(step: float) -> None:
     metres = np.linspace(0.05, 1.9, 64)
     image = np.repeat(metres[None, None] / DEPTH_RANGE, DEPTH_SHAPE[0], axis=1).astype(np.float32)
     fault = FAULTS["quantised"](step, [np.random.default_rng(0)])
@@ -110,7 +110,7 @@ def test_quantised_depth_is_the_middle_of_its_terrace(step: float) -> None:
     assert 0.4 * step < errors.max() <= 0.5 * step + 1e-2
 
 
-def test_stray_light_moves_all_depths_the_stated_share_of_the_way_to_one_near_depth() -> None:
+def test_stray_light_moves_depths_by_share() -> None:
     images = play("stray_light", 0.35)
     source = (images - 0.65 * LIVE) / 0.35
     assert np.ptp(source, axis=(0, 2, 3)).max() < 1e-5

@@ -23,7 +23,7 @@ def floor() -> np.ndarray:
 
 
 @pytest.mark.parametrize("baseline", [25, 50, 100])
-def test_shadow_is_as_wide_as_the_disparity_jumps_and_on_the_left_only(baseline: float) -> None:
+def test_edge_shadow_is_left_and_wide(baseline: float) -> None:
     image = np.full(DEPTH_SHAPE, 0.9)
     image[10:30, 30:50] = 0.2
     frames = spoil("edge_shadow", baseline, image, robots=1)
@@ -38,7 +38,7 @@ def test_shadow_is_as_wide_as_the_disparity_jumps_and_on_the_left_only(baseline:
 
 
 @pytest.mark.parametrize("step", [0.05, 0.2])
-def test_disparities_are_multiples_of_the_step_and_nearest_ones(step: float) -> None:
+def test_disparities_are_rounded_to_steps(step: float) -> None:
     image = floor()
     after = spoil("disparity_steps", step, image, robots=1).image[0].astype(float)
     inside = (image < 1) & (after < 1)
@@ -50,7 +50,7 @@ def test_disparities_are_multiples_of_the_step_and_nearest_ones(step: float) -> 
 
 
 @pytest.mark.parametrize("share", [0.1, 0.45, 0.9])
-def test_the_stated_share_of_smooth_surfaces_is_lost_and_edges_stay(share: float) -> None:
+def test_textureless_keeps_edges(share: float) -> None:
     image = floor()
     image[5:25, 30:45] = 0.2  # A box.
     frames = spoil("textureless", share, image)
@@ -68,7 +68,7 @@ def test_sensor_grain_does_not_make_ground_rough() -> None:
     assert smooth_surface(floor() + grain).mean() > 0.75
 
 
-def test_grass_hides_and_blinds_more_the_denser_it_is_and_measures_no_blade_too_near() -> None:
+def test_dense_grass_hides_more() -> None:
     image = floor().astype(np.float32)
     hidden, blind = [], []
     for level in FAULTS["tall_grass"].levels:
@@ -85,7 +85,7 @@ def test_grass_hides_and_blinds_more_the_denser_it_is_and_measures_no_blade_too_
     assert measured.max() > 0.5
 
 
-def test_grass_flickers_from_frame_to_frame_and_stands_on_the_ground() -> None:
+def test_grass_flickers_on_the_ground() -> None:
     image = floor().astype(np.float32)[None]
     fault = FAULTS["tall_grass"](20, [np.random.default_rng(0)])
     first, second = (fault.corrupt(Frames.healthy(image), np.zeros(1)).image for _ in range(2))

@@ -20,7 +20,7 @@ def play(name: str, level: float, image: np.ndarray = FLOOR, ticks: int = 20, ro
     return changed
 
 
-def test_each_lamp_is_one_streak_that_begins_where_the_floor_does_and_sways() -> None:
+def test_each_lamp_is_one_streak() -> None:
     streaks = play("floor_reflection", 1)
     edge = np.argmax(FLOOR[:, 0] < 0.97)
     rows, columns = streaks.any(axis=3), streaks.any(axis=2)
@@ -36,7 +36,7 @@ def test_each_lamp_is_one_streak_that_begins_where_the_floor_does_and_sways() ->
 
 
 @pytest.mark.parametrize("width", [0.25, 0.6])
-def test_a_patch_is_as_wide_as_stated_and_comes_nearer(width: float) -> None:
+def test_wet_patch_has_width_and_approaches(width: float) -> None:
     wet = play("wet_patch", width, ticks=40, robots=20)
     assert wet.any(axis=(0, 2, 3)).all()
     # The floor below pixel (r, c) is depth * (c - middle) / focal length to the right of the axis.

@@ -30,7 +30,7 @@ def test_unrolling_equals_ticking_by_hand_with_resets(model):
             torch.testing.assert_close(got[tick], latent, atol=1e-5, rtol=1e-4)
 
 
-def test_gradients_flow_through_time_but_not_across_a_reset(model):
+def test_gradients_stop_at_resets(model):
     history = torch.randn(3, 2, 10, 45, requires_grad=True)
     fresh = torch.tensor([[False, False], [False, True], [False, False]])
     images = torch.rand(3, 2, 2, 48, 64), torch.ones(3, 2)
@@ -55,7 +55,7 @@ def test_op_never_sees_depth_and_vp_does(model):
     assert not same(model.vp, (one, no), (one, yes))
 
 
-def test_without_a_map_no_error_of_it_is_judged():
+def test_map_error_needs_a_map():
     blind = RENet(ModelCfg(predict_map_error=True, predict_height_map=False), critic_size=5)
     assert blind.vp.map_error_head is None
 
@@ -67,7 +67,7 @@ def test_fuse_is_the_papers_equation():
     assert torch.equal(fused[1], torch.cat((torch.zeros(64), 2 * torch.ones(64))))
 
 
-def test_memory_fills_on_the_first_observation_and_forgets_on_reset(model):
+def test_memory_fills_and_resets(model):
     memory = EstimatorMemory(model.cfg, 2, "cpu")
     first = torch.randn(2, 45)
     memory.push(first)
@@ -89,7 +89,7 @@ def test_memory_fills_on_the_first_observation_and_forgets_on_reset(model):
     assert torch.equal(memory.frames[1, 1], image[1].half())
 
 
-def test_after_withheld_images_the_next_one_fills_both_frames(model):
+def test_image_after_withholding_fills_both_frames(model):
     memory, images = EstimatorMemory(model.cfg, 2, "cpu"), torch.rand(4, 2, 48, 64)
     memory.push(torch.randn(2, 45))
     lost = torch.tensor([True, False])  # The first robot loses its images at ticks 1 and 2.

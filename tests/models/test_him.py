@@ -47,7 +47,7 @@ def test_sinkhorn_and_loss_match_the_reference(seed, batch):
     np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
-def test_pairs_that_do_not_count_are_as_if_absent():
+def test_uncounted_pairs_are_ignored():
     torch.manual_seed(0)
     him, latent, following = HybridInternalModel(), torch.randn(9, 64), torch.randn(9, 45)
     some = torch.tensor([1, 0, 1, 1, 0, 0, 1, 1, 0]).bool()
@@ -83,7 +83,7 @@ def test_the_shipped_prototypes_have_not_collapsed():
     assert min(model.op_him.effective_rank(), model.vp_him.effective_rank()) > 8
 
 
-def test_a_collapsed_module_shows_in_rank_and_usage():
+def test_collapse_shows_in_rank_and_usage():
     torch.manual_seed(0)
     him = HybridInternalModel()
     with torch.no_grad():
@@ -97,7 +97,7 @@ def test_a_collapsed_module_shows_in_rank_and_usage():
     assert him.usage.item() == pytest.approx(sides, rel=1e-3)
 
 
-def test_the_target_sees_the_velocity_and_not_the_command():
+def test_target_has_velocity_for_command():
     state, velocity = torch.arange(45.0).repeat(2, 1), torch.tensor([[7.0, 8.0, 9.0]] * 2)
     view = target_view(state, velocity)
     # Angular velocity and gravity (0 to 5), joints and actions (9 to 44), then the velocity.

@@ -22,7 +22,7 @@ from renet.models.estimators import AttentionEncoder, MlpEncoder
         (DepthAutoencoder().decode, nn.ConvTranspose2d, 3),
     ],
 )
-def test_networks_have_as_many_layers_as_the_papers(module, kind, layers):
+def test_layer_counts_match_the_paper(module, kind, layers):
     assert sum(isinstance(m, kind) for m in module.modules()) == layers
 
 
@@ -42,7 +42,7 @@ def test_the_mlp_encoder_compresses_the_concatenation():
     assert encoder.fuse[0].in_features == 128
 
 
-def test_the_variance_detectors_loss_is_least_at_the_error_it_makes(monkeypatch):
+def test_variance_loss_is_least_at_true_error(monkeypatch):
     detector = DepthAutoencoder("variance")
     depth = torch.rand(4, 2, 48, 64)
     error = torch.rand(2, 48, 64) * 0.2 + 0.05

@@ -7,7 +7,7 @@ from renet.interface import HEIGHT_MAP_SIZE, HEIGHT_MAP_X, HEIGHT_MAP_Y
 from renet.models.oracle import true_image
 
 
-def test_what_is_ahead_is_above_and_what_is_left_is_at_the_left() -> None:
+def test_oracle_image_is_upright() -> None:
     ahead_left = HEIGHT_MAP_X.index(1.2) * len(HEIGHT_MAP_Y) + HEIGHT_MAP_Y.index(0.75)
     height_map = torch.zeros(2, HEIGHT_MAP_SIZE)
     height_map[0, ahead_left] = 0.2
@@ -17,6 +17,6 @@ def test_what_is_ahead_is_above_and_what_is_left_is_at_the_left() -> None:
     assert image.mean() == pytest.approx(0.5 + 0.2 / HEIGHT_MAP_SIZE, abs=5e-4)
 
 
-def test_pits_and_walls_stay_in_the_range_of_images() -> None:
+def test_oracle_image_stays_in_range() -> None:
     assert (true_image(torch.full((1, HEIGHT_MAP_SIZE), 1.3)) == 1.0).all()
     assert (true_image(torch.full((1, HEIGHT_MAP_SIZE), -1.3)) == 0.0).all()

@@ -34,7 +34,7 @@ def swept_pairs(model: mujoco.MjModel, data: mujoco.MjData) -> int:
     return int((begun - np.arange(model.ngeom) - 1).sum())
 
 
-def test_a_sweep_would_visit_more_pairs_than_all_that_may_touch(scene):
+def test_sweep_visits_more_pairs(scene):
     model, data, wp_model = scene
     assert wp_model.opt.broadphase == mujoco_warp.BroadphaseType.NXN
     assert swept_pairs(model, data) > 2 * len(wp_model.nxn_geom_pair_filtered)

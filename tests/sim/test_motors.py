@@ -67,7 +67,7 @@ def late(lag: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("fused", [True, False])
-def test_targets_arrive_as_many_physics_steps_late_as_told(fused):
+def test_targets_arrive_late_as_set(fused):
     sim, motors = driven(fused, max_lag=9)
     motors.lag[:] = LAGS
     walked = []
@@ -81,7 +81,7 @@ def test_targets_arrive_as_many_physics_steps_late_as_told(fused):
 
 
 @pytest.mark.parametrize("fused", [True, False])
-def test_the_first_target_after_a_reset_counts_as_all_before_it(fused):
+def test_first_target_fills_the_past(fused):
     sim, motors = driven(fused, max_lag=4)
     motors.lag[:] = 4
     control(sim, motors, fused, torch.ones(3, 2))
@@ -106,7 +106,7 @@ def test_the_first_target_after_a_reset_counts_as_all_before_it(fused):
         (25.0, -9.0, -10.0),
     ],
 )
-def test_torque_falls_linearly_to_zero_at_the_no_load_speed(fused, speed, target, torque):
+def test_torque_falls_to_no_load_speed(fused, speed, target, torque):
     sim, motors = driven(fused, falls_with_speed=True)
     motors.no_load_speed[:] = torch.tensor([20.0, 1e9])
     sim.data.qvel[:] = speed
@@ -120,7 +120,7 @@ def test_torque_falls_linearly_to_zero_at_the_no_load_speed(fused, speed, target
     assert force[:, 1].abs() == pytest.approx(10.0, abs=1e-4)
 
 
-def test_a_robots_own_limit_is_the_torque_at_rest_and_stays_so():
+def test_own_limit_is_torque_at_rest():
     sim, motors = driven(True, falls_with_speed=True)
     motors.no_load_speed[:] = 20.0
     limits = torch.tensor([[-8.0, 8.0], [-10.0, 10.0], [-12.0, 12.0]])[:, None].expand(3, 2, 2)

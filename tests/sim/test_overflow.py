@@ -12,7 +12,7 @@ from renet.sim.overflow import OverflowWatch
 BOX = '<body pos="0 0 1"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
 
 
-def test_constraints_that_do_not_fit_are_counted_and_told():
+def test_overflow_is_counted_and_reported():
     cfg = SimulationCfg(njmax=4, nconmax=20, mujoco=MujocoCfg(timestep=0.005))
     simulation = Simulation(3, cfg, scene(PLANE, BOX), "cpu")
     watch = OverflowWatch(simulation)

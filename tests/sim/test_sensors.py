@@ -52,7 +52,7 @@ STEPS = PLANE + "".join(
     x=st.floats(-0.5, 0.5),
     y=st.floats(-0.5, 0.5),
 )
-def test_the_map_turns_with_yaw_and_with_nothing_else(roll, pitch, yaw, x, y):
+def test_map_turns_with_yaw_only(roll, pitch, yaw, x, y):
     model = scene(STEPS, ROBOT)
     readings = height_map(model, (x, y, 0.4), (roll, pitch, yaw)).data[0].numpy()
     ahead, left = np.array([*product(HEIGHT_MAP_X, HEIGHT_MAP_Y)]).T
@@ -72,7 +72,7 @@ def test_readings_are_clipped_to_their_limits():
     torch.testing.assert_close(feet.data[:, 0], torch.tensor([-0.2, -0.1, 0.4, 1.0]))
 
 
-def test_a_foot_over_an_edge_reads_the_mean_of_its_patch():
+def test_foot_reads_mean_of_patch():
     # One of three columns of the 5 x 5 cm patch lies over a pit 0.3 m deep.
     ground = '<geom type="box" size="3 3 .15" pos="0 0 -.15"/>'
     model = scene('<geom type="box" size="1 1 .3"/>', ground, ROBOT)
@@ -80,7 +80,7 @@ def test_a_foot_over_an_edge_reads_the_mean_of_its_patch():
     assert feet_height(model, [foot]).data.item() == pytest.approx(0.3 / 3, abs=1e-4)
 
 
-def test_a_reading_is_cast_once_until_time_passes():
+def test_reading_is_cast_once_a_step():
     sensor = height_map(FLAT, (0.0, 0.0, 0.3))
     first = sensor.data
     sensor._data.xpos[..., 2] += 0.1

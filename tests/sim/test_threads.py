@@ -12,7 +12,7 @@ from renet.sim.threads import on_all_threads, one_torch_thread
 
 
 @pytest.mark.parametrize("fails", ["nowhere", "in the caller", "elsewhere"])
-def test_caller_and_others_work_and_an_error_is_raised_after_all_have_stopped(monkeypatch, fails):
+def test_errors_are_raised_after_all_stop(monkeypatch, fails):
     monkeypatch.setattr(threads, "THREADS", 2)
     caller, ended = threading.get_ident(), []
     meeting = threading.Barrier(2, timeout=20)  # One thread alone never ends.

@@ -65,12 +65,12 @@ def test_the_way_that_is_left(env, place, yaw, metres):
         ((0.0, 0.0), 0.0, 0.5, False),
     ],
 )
-def test_a_robot_stops_only_where_it_is_led_against_a_barrier(env, place, yaw, speed, stops):
+def test_stops_only_before_barriers(env, place, yaw, speed, stops):
     put(env, *place, yaw, speed)
     assert (before_barrier(env) == stops).all()
 
 
-def test_standing_before_a_barrier_earns_what_standing_does(env):
+def test_standing_before_barrier_is_rewarded(env):
     put(env, 1.0, 0.0, 0.0)
     torch.testing.assert_close(velocity_tracking(env), torch.ones(ROBOTS))
     env.sim.data.qvel[:, 0] = 0.5
@@ -79,7 +79,7 @@ def test_standing_before_a_barrier_earns_what_standing_does(env):
     torch.testing.assert_close(velocity_tracking(env), torch.zeros(ROBOTS))
 
 
-def test_nobody_is_ended_for_standing_before_a_barrier(env):
+def test_standing_before_barrier_is_no_stall(env):
     stalled = env.termination_manager.get_term_cfg("stalled").func
     for place, ends in (((1.0, 0.0), False), ((0.0, 0.0), True)):
         put(env, *place, 0.0)

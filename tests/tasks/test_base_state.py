@@ -19,7 +19,7 @@ def check(env) -> None:
 
 
 @pytest.mark.parametrize("engine", ["native", "warp"])
-def test_each_quantity_is_mjlabs_after_steps_resets_and_states_written(build, engine):
+def test_base_state_matches_mjlab(build, engine):
     env, random = build("Renet-Go1-Flat", 3, engine=engine), torch.Generator().manual_seed(0)
     check(env)
     for _ in range(3):

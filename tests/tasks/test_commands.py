@@ -32,7 +32,7 @@ def wrapped(angle: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("begins", ["reset", "time-out"])
-def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, goal, begins):
+def test_first_goal_is_around_initial_yaw(walkers, goal, begins):
     walkers.reset(seed=3)
     goal.yaw[:], goal.commanded_distance[:] = 100.0, 5.0
     if begins == "reset":
@@ -49,7 +49,7 @@ def test_an_episode_begins_with_a_goal_around_the_yaw_it_begins_with(walkers, go
     assert (goal.commanded_distance == 0.0).all()
 
 
-def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers, goal):
+def test_goals_change_after_their_time(walkers, goal):
     walkers.reset(seed=4)
     goal.cfg.later_turn = 0.3
     goal.time_left.clamp_(max=0.09)  # Five steps.
@@ -68,7 +68,7 @@ def test_goals_change_after_their_time_and_turn_no_further_than_they_may(walkers
     goal.cfg.later_turn = math.pi
 
 
-def test_others_keep_their_goals_when_some_begin_anew(walkers, goal):
+def test_resets_keep_other_goals(walkers, goal):
     walkers.reset(seed=5)
     walkers.step(STILL)
     speed, left = goal.speed.clone(), goal.time_left.clone()

@@ -48,7 +48,7 @@ def test_depth_changes_at_the_global_tick_only(flat):
         held = obs["depth"].clone()
 
 
-def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(build):
+def test_control_step_waits_as_mjlab(build):
     parkour = build("Renet-Go1-Parkour", 12)
     parkour.step(torch.zeros(12, 12))  # At first use Warp's arrays are wrapped.
     with Waits() as watch:
@@ -60,7 +60,7 @@ def test_a_control_step_waits_for_a_gpu_only_where_mjlab_does(build):
     assert set(watch.files) - {"rasterizer.py"} == {"mjlab"}
 
 
-def test_costs_are_in_the_interfaces_order_whatever_that_of_the_metrics(build):
+def test_costs_follow_interface_order(build):
     cfg = flat_env_cfg()
     cfg.metrics = dict(reversed(cfg.metrics.items()))
     env = build(cfg, 4)
@@ -76,7 +76,7 @@ def test_costs_are_in_the_interfaces_order_whatever_that_of_the_metrics(build):
         mdp.constraint_costs(make_env(cfg, 1))
 
 
-def test_robots_that_fell_or_are_not_finite_are_reset_alone(flat):
+def test_only_failed_robots_are_reset(flat):
     flat.step(torch.zeros(4, 12))
     flat.sim.data.qpos[1, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])
     flat.sim.data.qpos[2, 7] = flat.sim.data.qvel[3, 1] = torch.nan
@@ -88,7 +88,7 @@ def test_robots_that_fell_or_are_not_finite_are_reset_alone(flat):
     assert flat.episode_length_buf.tolist() == [2, 0, 0, 0]
 
 
-def test_critics_see_what_randomisation_drew_and_draws_again(flat):
+def test_critics_observe_randomisation(flat):
     trunk = flat.scene["robot"].indexing.body_ids[:1]
     obs, _ = flat.reset()
     drawn = flat.sim.model.body_mass[:, trunk] - flat.sim.get_default_field("body_mass")[trunk]
@@ -100,7 +100,7 @@ def test_critics_see_what_randomisation_drew_and_draws_again(flat):
     torch.testing.assert_close(obs["privileged"][:, 17:18], drawn + 1.0)
 
 
-def test_curriculum_state_round_trips_and_survives_another_size(parkour):
+def test_curriculum_state_survives_another_size(parkour):
     terrain = parkour.scene.terrain
     term = parkour.curriculum_manager.get_term_cfg("level").func
     levels = torch.arange(12) % 10
@@ -162,7 +162,7 @@ def test_play_shows_every_level(build):
     assert set(env.scene.terrain.terrain_levels.tolist()) == set(range(10))
 
 
-def test_what_was_observed_stays_when_the_environment_goes_on(parkour):
+def test_observations_are_copies(parkour):
     seen = parkour.step(torch.zeros(12, 12))[0]
     kept = {name: value.clone() for name, value in seen.items()}
     for _ in range(STEPS_PER_TICK):
@@ -170,7 +170,7 @@ def test_what_was_observed_stays_when_the_environment_goes_on(parkour):
     assert all(torch.equal(seen[name], kept[name]) for name in seen)
 
 
-def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour):
+def test_noise_is_bounded_and_scaled(parkour):
     most = torch.zeros(45)
     for term in PROPRIOCEPTION:
         most[proprioception_slices()[term.name]] = term.scale * NOISE.get(term.name, 0.0)
@@ -184,7 +184,7 @@ def test_noise_is_within_its_bounds_and_scaled_with_what_it_is_added_to(parkour)
         assert (side[:, most > 0.0].amax(0) > 0.8 * most[most > 0.0]).all()
 
 
-def test_a_task_without_rewards_and_ends_goes_on(build):
+def test_task_without_rewards_runs(build):
     cfg = flat_env_cfg()
     cfg.rewards, cfg.terminations, cfg.metrics = {}, {}, {}
     _, reward, terminated, truncated, _ = build(cfg, 2).step(torch.zeros(2, 12))
@@ -192,7 +192,7 @@ def test_a_task_without_rewards_and_ends_goes_on(build):
     assert not (terminated | truncated).any()
 
 
-def test_mjlabs_own_environment_runs_a_task_as_ours_does():
+def test_mjlab_environment_runs_our_task():
     cfg = env_cfg("Renet-Go1-Flat", play=True)
     cfg.scene.num_envs, cfg.seed = 3, 4
     rollouts = []
@@ -210,7 +210,7 @@ def test_mjlabs_own_environment_runs_a_task_as_ours_does():
 
 
 @pytest.mark.parametrize("weight", [float("nan"), float("inf")])
-def test_a_weight_that_is_no_number_is_refused(weight):
+def test_nan_weight_is_refused(weight):
     cfg = env_cfg("Renet-Go1-Flat")
     cfg.rewards["yaw"].weight = weight
     with pytest.raises(RenetError, match="weight of the reward yaw is"):
@@ -222,14 +222,14 @@ def test_an_environment_without_robots_is_refused():
         make_env("Renet-Go1-Flat", 0)
 
 
-def test_stages_of_a_step_are_spared_the_terrain(parkour):
+def test_stages_skip_terrain(parkour):
     model = parkour.sim.mj_model
     bodies, geoms = moving_part(model)
     assert bodies == model.body("robot/trunk").id + 13
     assert geoms < 0.1 * model.ngeom
 
 
-def test_a_source_tree_that_is_not_installed_knows_its_tasks(monkeypatch):
+def test_source_tree_registers_tasks(monkeypatch):
     monkeypatch.setattr("mjlab.tasks.registry._REGISTRY", {})
     monkeypatch.delitem(sys.modules, "renet.registry")  # Nobody's entry point names it.
     assert env_cfg("Renet-Go1-Flat").scene.num_envs

@@ -11,7 +11,7 @@ from renet.tasks.terrains import tile_row
 from .conftest import evaluate
 
 
-def test_how_often_a_sum_is_negative_and_what_constraints_cost_is_logged(flat):
+def test_clipped_rewards_and_costs_are_logged(flat):
     flat.reward_manager.get_term_cfg("action_rate").weight = -100.0
     rewards = [flat.step(torch.full((4, 12), 4.8 * (n < 1)))[1].clone() for n in range(3)]
     flat.reward_manager.get_term_cfg("action_rate").weight = -0.1
@@ -24,7 +24,7 @@ def test_how_often_a_sum_is_negative_and_what_constraints_cost_is_logged(flat):
 
 
 @pytest.mark.parametrize("weight", [0.0, -2.0])
-def test_a_rewards_value_is_logged_whatever_its_weight(build, weight):
+def test_reward_without_weight_is_logged(build, weight):
     cfg = flat_env_cfg()
     cfg.rewards["linear_velocity"].weight = weight
     env = build(cfg, 2)
@@ -35,7 +35,7 @@ def test_a_rewards_value_is_logged_whatever_its_weight(build, weight):
     torch.testing.assert_close(mdp.reward_term(env, "linear_velocity"), expected)
 
 
-def test_an_edge_is_relief_within_half_a_metre(parkour):
+def test_edge_is_relief_nearby(parkour):
     maps = torch.zeros(12, len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))
     ahead, aside = HEIGHT_MAP_X.index(0.45), HEIGHT_MAP_Y.index(-0.45)
     maps[0, ahead, 5] = -0.1  # A step ahead.
@@ -48,7 +48,7 @@ def test_an_edge_is_relief_within_half_a_metre(parkour):
 
 
 @pytest.mark.parametrize(("distance", "edge"), [(1.1, 1.0), (0.0, 0.0)])
-def test_the_share_of_steps_near_an_edge_is_logged(build, distance, edge):
+def test_steps_near_edges_are_logged(build, distance, edge):
     cfg = tile_env_cfg(tile_row({"gap": 5}), play=True)
     cfg.events["spawn"].params["pose_range"] = {"x": (distance, distance), "z": (0.02, 0.02)}
     env = build(cfg, 2)

@@ -75,7 +75,7 @@ def start(first: str) -> None:
     "first",
     ["mjlab.tasks", "renet.sim.depth.camera", "renet.training.config", "torch, warp, renet.tasks"],
 )
-def test_tasks_are_registered_and_start_silently_whatever_is_imported_first(first):
+def test_tasks_register_in_any_import_order(first):
     """Neither does Warp tell that it starts, has no GPU, or which modules it loads."""
     done = fork(start, first)
     assert done.returncode == 0, done.stderr

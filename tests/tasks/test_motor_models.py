@@ -30,14 +30,14 @@ def task(motors):
     return cfg
 
 
-def test_ideal_motors_leave_a_task_as_it_is():
+def test_ideal_motors_change_nothing():
     plain, cfg = flat_env_cfg(play=True), flat_env_cfg(play=True)
     use_motors(cfg, None)
     assert cfg.scene.entities["robot"].articulation == plain.scene.entities["robot"].articulation
     assert cfg.motors == plain.motors
 
 
-def test_a_network_drives_each_joint_at_every_physics_step(build):
+def test_network_drives_each_physics_step(build):
     """Its torques are what NumPy's network makes of the joints' last three states."""
     env = build(task(NETWORK), 3)
     assert env.physics_dt == pytest.approx(0.005)
@@ -67,7 +67,7 @@ def test_a_network_drives_each_joint_at_every_physics_step(build):
         np.testing.assert_allclose(found[now], torque.clip(-limit, limit), atol=1e-3)
 
 
-def test_a_network_forgets_the_robots_that_begin_anew(build):
+def test_reset_clears_network_samples(build):
     env = build(task(NETWORK), 2)
     for _ in range(3):
         env.step(torch.ones(2, 12))
@@ -79,7 +79,7 @@ def test_a_network_forgets_the_robots_that_begin_anew(build):
         assert (actuator._errors[1] != 0.0).any()
 
 
-def test_measured_motors_are_the_joints_of_the_model(build):
+def test_measured_motors_reach_the_model(build):
     env = build(task(FIT), 2)
     model = env.sim.mj_model
     for name in JOINTS:

@@ -66,7 +66,7 @@ def test_motors_differ_in_strength(randomized):
     assert (force - limits).max().abs() < 1e-3
 
 
-def test_joint_zeros_are_off_in_what_is_seen_and_in_what_is_done(randomized):
+def test_joint_offset_acts_on_both_sides(randomized):
     env = randomized(16, joint_offset=0.03)
     offset = env.scene["robot"].data.encoder_bias
     assert 0.02 < offset.abs().max() <= 0.03
@@ -82,7 +82,7 @@ def drawn(env, field: str, part: int | slice = slice(None)) -> torch.Tensor:
     return getattr(env.sim.model, field)[..., part] / env.sim.get_default_field(field)[..., part]
 
 
-def test_all_motors_of_a_robot_share_a_damping(randomized):
+def test_motors_of_a_robot_share_damping(randomized):
     env = randomized(512, damping=(0.7, 2.2))
     damping = drawn(env, "actuator_biasprm", 2)
     torch.testing.assert_close(damping, damping[:, :1].expand(-1, 12))
@@ -108,7 +108,7 @@ def test_rotors_and_friction_differ(randomized):
     assert (env.sim.model.dof_frictionloss[:, :6] == 0.0).all()
 
 
-def test_torque_falls_with_speed_by_each_robots_own_curve(randomized):
+def test_torque_follows_each_robots_curve(randomized):
     env = randomized(64, no_load_speed=(0.5, 1.5))
     nominal = torch.tensor([30.1, 30.1, 20.06]).repeat(4)  # The vendor's.
     order = env.sim.mj_model.actuator_trnid[:, 0] - 1
@@ -128,7 +128,7 @@ def test_weak_motors_are_slower(randomized):
 
 
 @pytest.mark.parametrize("fused", [True, False])
-def test_targets_are_late_by_the_same_time_for_a_whole_episode(fused, build):
+def test_delay_is_constant_in_an_episode(fused, build):
     cfg = flat_env_cfg(play=True)
     # A metric that is looked at between physics steps keeps them apart.
     cfg.metrics["lin_vel_reward"].per_substep = not fused
@@ -150,7 +150,7 @@ def test_targets_are_late_by_the_same_time_for_a_whole_episode(fused, build):
     assert not torch.equal(episodes[1], episodes[2])
 
 
-def test_a_late_robot_does_later_what_a_prompt_one_does(randomized):
+def test_delay_shifts_motion(randomized):
     """A step of targets that comes four physics steps late is the one of 20 ms before."""
     env = randomized(2, action_delay=0.02)
     env.motors.lag[:] = torch.tensor([[0], [4]])
@@ -174,7 +174,7 @@ def test_a_late_robot_does_later_what_a_prompt_one_does(randomized):
 @pytest.mark.parametrize(
     "motors", [{"target_delay": (0.02, 0.01)}, {"no_load_speed": (0.0, 1.0)}], ids=str
 )
-def test_ranges_that_nothing_can_be_drawn_from_are_refused(motors):
+def test_empty_ranges_are_refused(motors):
     cfg = flat_env_cfg()
     for name, value in motors.items():
         setattr(cfg.motors, name, value)

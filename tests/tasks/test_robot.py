@@ -96,7 +96,7 @@ def test_margins_of_a_vendors_geoms_are_dropped():
     make_env(tile_env_cfg(tile_row({"gap": 1}), robot=robot), 1).close()
 
 
-def test_a_vendors_sites_named_as_legs_make_way():
+def test_vendor_sites_are_replaced():
     made, feet = GO1.spec(), {leg: f"{leg}_foot_collision" for leg in LEGS}
     made.delete(made.site("FL"))
     made.body("trunk").add_site(name="FL", pos=(0.0, 0.0, 0.3))
@@ -114,7 +114,7 @@ def test_all_feet_must_be_named():
         rename_parts(GO1.spec(), trunk="trunk", feet={})
 
 
-def test_a_foot_without_a_name_is_the_lowest_geom_of_its_body():
+def test_unnamed_foot_is_lowest_geom():
     made = GO1.spec()
     for leg in LEGS:
         made.geom(f"{leg}_foot_collision").name = ""

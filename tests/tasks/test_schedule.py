@@ -18,7 +18,7 @@ def test_linear_between_points_and_constant_outside(steps, value):
 
 
 @given(value=st.floats(-1e6, 1e6), steps=st.floats(0, 1e12))
-def test_a_number_is_the_same_at_all_times(value, steps):
+def test_number_is_constant(value, steps):
     assert value_at(value, steps) == value_at(str(value), steps) == pytest.approx(value)
 
 

@@ -37,7 +37,7 @@ def test_no_robot_begins_inside_the_ground(everywhere):
                 assert contact.dist > -0.02, f"{parts}, {KINDS[robot % len(KINDS)]}, {robot}"
 
 
-def test_robots_begin_at_rest_upright_near_the_middle_looking_anywhere(everywhere):
+def test_robots_spawn_at_rest(everywhere):
     everywhere.step(torch.ones(everywhere.num_envs, 12))
     everywhere.reset(seed=5)
     robot = everywhere.scene["robot"].data
@@ -64,7 +64,7 @@ def test_robots_begin_at_rest_upright_near_the_middle_looking_anywhere(everywher
         ("gap", (1.25, 0.0, -0.4), "in_gap"),
     ],
 )
-def test_a_lost_robot_is_put_back_on_its_tile(everywhere, kind, position, why):
+def test_lost_robot_returns_to_its_tile(everywhere, kind, position, why):
     """Leaving a tile alone is a time-out."""
     everywhere.reset(seed=1)
     lost = KINDS.index(kind)

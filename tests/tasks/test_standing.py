@@ -9,7 +9,7 @@ from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.recipe import follow
 
 
-def test_the_second_level_begins_after_its_environment_steps(flat, goal):
+def test_second_stage_begins_after_steps(flat, goal):
     term, everyone = mdp.command_stage, torch.arange(4)
     for step, stage in ((0, 0), (99, 0), (100, 1), (5000, 1)):
         flat.common_step_counter = step
@@ -25,7 +25,7 @@ def test_the_second_level_begins_after_its_environment_steps(flat, goal):
 
 
 @pytest.mark.parametrize("processes", [1, 3])
-def test_steps_of_all_robots_and_processes_count_also_those_before(flat, monkeypatch, processes):
+def test_environment_steps_count_all_processes(flat, monkeypatch, processes):
     monkeypatch.setenv("WORLD_SIZE", str(processes))
     term = mdp.EnvironmentSteps(flat.cfg.curriculum["environment_steps"], flat)
     monkeypatch.setattr(flat, "common_step_counter", 100)
@@ -35,7 +35,7 @@ def test_steps_of_all_robots_and_processes_count_also_those_before(flat, monkeyp
     assert term.count == 10_000 + 4 * 5 * processes == term(flat, torch.arange(4))
 
 
-def test_a_rewards_weight_follows_its_schedule_of_environment_steps(monkeypatch):
+def test_reward_weight_follows_schedule(monkeypatch):
     cfg = flat_env_cfg()
     follow(cfg, "yaw", "1@1k,3@2k")
     assert cfg.rewards["yaw"].weight == 1.0
@@ -50,7 +50,7 @@ def test_a_rewards_weight_follows_its_schedule_of_environment_steps(monkeypatch)
         make_env(cfg, 4)
 
 
-def test_a_robot_that_stands_as_asked_is_paid_nearly_all_there_is(build):
+def test_standing_as_commanded_is_rewarded(build):
     env = build(env_cfg("Renet-Go1-Flat", play=True), 4)
     command = env.command_manager.get_term("goal")
     command.speed[:] = torch.tensor([0.0, 0.0, 0.5, 0.5])

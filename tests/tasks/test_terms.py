@@ -61,7 +61,7 @@ def test_penalties_by_hand(flat, goal):
     assert got == pytest.approx(expected, rel=1e-4)
 
 
-def test_the_papers_rewards_are_the_footnotes_with_its_scales():
+def test_paper_rewards_have_its_scales():
     terms = ("linear_velocity", "yaw", "collision", "joint_energy", "action_rate")
     terms += ("default_position", "hip_position", "joint_acceleration", "orientation")
     scales = (1.5, 0.5, -10.0, -1e-5, -0.1, -0.04, -0.5, -2.5e-7, -1.0)
@@ -96,7 +96,7 @@ def test_torque_is_judged_before_the_motor_saturates(flat):
     torch.testing.assert_close(costs(), expected, atol=1e-2, rtol=0)
 
 
-def test_a_standing_robot_costs_nothing_and_a_lying_one_collides(flat):
+def test_standing_is_free_lying_collides(flat):
     for _ in range(50):
         flat.step(torch.zeros(4, 12))
     assert (mdp.constraint_costs(flat) == 0.0).all()
@@ -139,7 +139,7 @@ def test_foot_clearance_by_hand(flat):
     assert (evaluate(flat, "foot_clearance") == 0.0).all()
 
 
-def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foot(flat, goal):
+def test_upright_tracking_needs_height(flat, goal):
     data, kind, robot = flat.sim.data, flat.cfg.robot, flat.scene["robot"].indexing
     goal.yaw[:], goal.speed[:] = 0.0, torch.tensor([0.6, 0.6, 0.6, 0.0])
     data.qvel[:, :2] = 0.0
@@ -154,7 +154,7 @@ def test_upright_tracking_asks_for_speed_and_standing_height_over_the_lowest_foo
     assert got == pytest.approx([0.5, 0.75 * 0.5, 0.0, 0.0], abs=1e-3)
 
 
-def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for(flat, goal):
+def test_standing_motion_counts_when_standing(flat, goal):
     data = flat.sim.data
     goal.speed[:] = torch.tensor([0.0, 0.3, 0.0, 0.3])
     data.qvel[:] = 0.0
@@ -168,7 +168,7 @@ def test_standing_motion_is_smoothed_and_counts_only_where_standing_is_asked_for
     assert evaluate(flat, "standing_motion")[0].item() == pytest.approx(0.05)
 
 
-def test_rewards_beyond_the_papers_are_the_recipes_alone():
+def test_extra_rewards_are_the_recipes():
     paper, ours = (env_cfg(f"Renet-Go1-{task}").rewards for task in ("Parkour-Paper", "Parkour"))
     extra = ours.keys() - paper.keys()
     ours_alone = {"alive", "foot_clearance", "standing_motion", "stepping", "upright_tracking"}
@@ -177,7 +177,7 @@ def test_rewards_beyond_the_papers_are_the_recipes_alone():
     assert changed == ["collision"]
 
 
-def test_critics_see_how_long_a_robot_stalls_and_its_smoothed_motion(flat, goal):
+def test_critics_observe_stalls_and_motion(flat, goal):
     goal.speed[:], goal.time_left[:] = torch.tensor([0.5, 0.5, 0.0, 0.0]), 10.0
     smooth = torch.zeros(4, 12)
     for step in range(6):

@@ -38,7 +38,7 @@ def profile(world, kind: str, level: int, angle: float = 0.0) -> np.ndarray:
 
 @pytest.mark.parametrize("level", [1, 5, 10])
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_start_is_flat_free_and_at_the_stated_height(world, kind, level):
+def test_start_is_flat_and_free(world, kind, level):
     env, terrain = world
     origin = env.scene.terrain.terrain_origins[level - 1, KINDS.index(kind)]
     line = torch.linspace(-0.75, 0.75, 31)
@@ -94,7 +94,7 @@ def test_stairs_rise_and_tread(world, kind, level, rise):
 
 
 @pytest.mark.parametrize("kind", ["stairs_up", "stairs_down", "gap", "platform"])
-def test_tiles_look_the_same_from_all_four_sides(world, kind):
+def test_tiles_have_four_equal_sides(world, kind):
     profiles = [profile(world, kind, 7, k * np.pi / 2) for k in range(4)]
     for other in profiles[1:]:
         assert np.mean(np.abs(other - profiles[0]) > 1e-3) < 0.06  # Samples next to an edge differ.
@@ -166,7 +166,7 @@ def begin_flat(env, monkeypatch, flat: bool) -> None:
 
 
 @pytest.mark.parametrize("flat_start", [False, True])
-def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypatch, flat_start):
+def test_easier_tiles_change_no_level(parkour, monkeypatch, flat_start):
     term, terrain = parkour.curriculum_manager.get_term_cfg("level"), parkour.scene.terrain
     begin_flat(parkour, monkeypatch, flat_start)
     monkeypatch.setattr(parkour, "common_step_counter", 1_000)
@@ -222,7 +222,7 @@ def test_some_episodes_are_on_easier_tiles_and_change_no_level(parkour, monkeypa
         (False, 4, 0, 50.0, range(4, 5)),
     ],
 )
-def test_the_first_and_the_last_level_lead_to_any_of_several(
+def test_end_levels_lead_to_several(
     parkour, monkeypatch, flat_start, level, steps, walked, reached
 ):
     begin_flat(parkour, monkeypatch, flat_start)
@@ -235,7 +235,7 @@ def test_the_first_and_the_last_level_lead_to_any_of_several(
     assert levels == set(reached)
 
 
-def test_who_passed_the_last_level_counts_as_there_until_it_fails(parkour):
+def test_passing_the_last_level_counts(parkour):
     passed = parkour.curriculum_manager.get_term_cfg("level").func.passed
     passed[:] = False
     types = parkour.scene.terrain.terrain_types
@@ -252,13 +252,13 @@ def test_who_passed_the_last_level_counts_as_there_until_it_fails(parkour):
 
 
 @pytest.mark.parametrize("kind", tiles())
-def test_a_robot_can_be_put_on_every_single_tile(build, kind):
+def test_every_tile_can_be_single(build, kind):
     env = build(tile_env_cfg(tile_row({kind: LEVELS}), play=True), 1)
     above = env.scene["robot"].data.root_link_pos_w[0, 2] - env.scene.env_origins[0, 2]
     assert 0.25 < above < 0.35
 
 
-def test_single_tiles_that_do_not_exist_are_refused():
+def test_unknown_single_tiles_are_refused():
     for unknown, why in (({"lava": 1}, "rough, obstacles"), ({"gap": 11}, "1 to 10")):
         with pytest.raises(RenetError, match=why):
             tile_row(unknown)
@@ -274,7 +274,7 @@ def edges(tile: Tile, difficulty: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["gap", "platform"])
-def test_dense_tiles_have_more_edges_and_begin_flat(kind):
+def test_dense_tiles_have_more_edges(kind):
     sparse, dense = edges(tiles()[kind], 0.5), edges(dense_tiles()[kind], 5 / 9)
     assert len(sparse) == 2
     assert len(dense) == 4

@@ -74,7 +74,7 @@ def losses(tmp_path_factory) -> Callable[[str], set[str]]:
 
 
 @pytest.mark.parametrize("row", ROWS)
-def test_trains_without_the_losses_it_names_and_with_all_others(losses, row):
+def test_trains_without_the_named_losses(losses, row):
     assert {"surrogate", "value", "anomaly"} <= losses(row)
     assert losses("default") ^ losses(row) == ROWS[row].missing
     assert ROWS[row].missing <= losses("default")
@@ -93,7 +93,7 @@ def test_differs_in_the_layers_it_names(row):
     assert all(any(n.startswith(beginning) for n in changed) for beginning in ROWS[row].layers)
 
 
-def test_the_pages_options_change_exactly_the_field_they_name():
+def test_options_change_exactly_one_field():
     """Each row of the table in docs/method.md; the parser of `renet train` reads one of them."""
     page = (Path(__file__).parents[2] / "docs" / "method.md").read_text()
     options = r"^\| ([\w/ ()-]+?) \| `(--agent\.model\.[^`]+)` \|"

@@ -16,7 +16,7 @@ def constant(value: float) -> nn.Module:
 
 
 @pytest.mark.parametrize(("over", "low", "high"), [(10, 88, 93), (1, 99.9, 100.1)])
-def test_is_the_moving_mean_of_what_it_saw_and_counts_are_the_newests(over, low, high):
+def test_average_is_a_moving_mean(over, low, high):
     average, expected = WeightAverage(constant(0), over), 0.0
     for update in range(1, 101):
         average.update_parameters(constant(update))

@@ -39,7 +39,7 @@ def test_what_a_kill_left_of_an_old_checkpoint_goes_with_the_next(tmp_path: Path
 
 
 @pytest.mark.parametrize("name", ["model", "average"])
-def test_weights_of_other_sizes_are_refused_by_their_header(tmp_path: Path, name: str, monkeypatch):
+def test_weights_of_other_sizes_are_refused(tmp_path: Path, name: str, monkeypatch):
     """Before any of them takes memory."""
     small, large = ({"weight": torch.zeros(n, 2)} for n in (3, 5))
     weights = {"model": small, "average": small} | {name: large}

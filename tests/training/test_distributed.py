@@ -139,13 +139,13 @@ def test_ranks_agree_after_five_iterations(ranks):
     torch.testing.assert_close(first, second, atol=1e-6, rtol=1e-5)
 
 
-def test_gradients_equal_one_process_on_the_joined_batch(ranks):
+def test_gradients_equal_those_of_one_process(ranks):
     first, second = [found["gradients"] for found in ranks]
     torch.testing.assert_close(first, second)
     torch.testing.assert_close(first, gradients(*rollout()), atol=1e-5, rtol=1e-3)
 
 
-def test_a_gradient_that_a_rank_lacks_counts_as_zero_and_nobody_waits(ranks):
+def test_missing_gradient_counts_as_zero(ranks):
     for found in ranks:
         (both, one), waits = found["averaged"]
         assert both.tolist() == [1.5, 1.5]
@@ -153,14 +153,14 @@ def test_a_gradient_that_a_rank_lacks_counts_as_zero_and_nobody_waits(ranks):
         assert not waits
 
 
-def test_ranks_whose_robots_teach_different_estimators_learn_both_and_no_detector(ranks):
+def test_ranks_learn_each_others_estimators(ranks):
     (before, first), (_, second) = [found["supervised"] for found in ranks]
     torch.testing.assert_close(first, second, atol=0.0, rtol=0.0)
     moved = {name.split(".")[0] for name, value in first.items() if not value.equal(before[name])}
     assert moved == {"op", "op_him", "vp", "vp_him"}
 
 
-def test_a_normaliser_learns_what_it_would_from_all_ranks_rows(ranks):
+def test_normalizer_learns_from_all_ranks(ranks):
     one_process = EmpiricalNormalization(3)
     for rows in observations():
         one_process.update(rows)
@@ -170,7 +170,7 @@ def test_a_normaliser_learns_what_it_would_from_all_ranks_rows(ranks):
         )
 
 
-def test_a_run_of_two_processes_counts_both_ones_steps(tmp_path):
+def test_steps_of_two_processes_are_added(tmp_path):
     start(run, tmp_path)
     (state,) = tmp_path.rglob("state.json")
     assert json.loads(state.read_text())["steps"] == RANKS * 4 * 5

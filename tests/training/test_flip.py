@@ -36,7 +36,7 @@ def run(alg: RenetAlgorithm, env, steps: int, flip_at: int | None = None) -> lis
     return read
 
 
-def test_a_flip_finds_warm_memories_and_changes_what_the_actor_reads():
+def test_flip_finds_warm_memories():
     alg, env = algorithm(iteration=PERIOD - 1)
     steered_by_op, other = algorithm(iteration=PERIOD)
     read, always = run(alg, env, 11, flip_at=7), run(steered_by_op, other, 11)
@@ -65,7 +65,7 @@ def test_a_flip_finds_warm_memories_and_changes_what_the_actor_reads():
         (PERIOD, "all", {"op", "vp"}),
     ],
 )
-def test_an_estimator_learns_from_the_environments_it_steers_or_from_all(iteration, data, taught):
+def test_estimator_data_is_own_or_all(iteration, data, taught):
     alg, env = algorithm(iteration, estimator_data=data)
     start = {name: value.clone() for name, value in alg.model.named_parameters()}
     run(alg, env, 10)
@@ -87,7 +87,7 @@ def test_the_policy_gradient_stops_at_the_latent():
     assert trained == policy
 
 
-def test_simple_terrain_alternates_and_difficult_terrain_keeps_vision():
+def test_difficult_terrain_keeps_vision():
     tiles = torch.tensor([[0.0], [1.0], [0.0]])
     for iteration, simple in ((0, False), (19, False), (20, True), (39, True), (40, False)):
         assert op_mask("renet", iteration, tiles, 20).tolist() == [simple, False, simple]

@@ -18,7 +18,7 @@ def write(folder: Path, value: float, iteration: int) -> None:
     writer.stop()
 
 
-def test_a_file_that_cannot_be_opened_and_a_full_disk_are_named(tmp_path, monkeypatch):
+def test_unwritable_curves_are_named(tmp_path, monkeypatch):
     (tmp_path / CURVES).mkdir()
     with pytest.raises(RenetError, match="cannot write the curves"):
         CurvesWriter(str(tmp_path), "tensorboard", "")
@@ -28,7 +28,7 @@ def test_a_file_that_cannot_be_opened_and_a_full_disk_are_named(tmp_path, monkey
         CurvesWriter(str(tmp_path), "tensorboard", "")
 
 
-def test_a_resumed_runs_last_value_counts_and_a_torn_row_costs_itself_alone(tmp_path):
+def test_resumed_curves_replace_torn_rows(tmp_path):
     write(tmp_path, 1.0, 1)
     write(tmp_path, 2.0, 1)
     with (tmp_path / CURVES).open("a") as file:
@@ -37,7 +37,7 @@ def test_a_resumed_runs_last_value_counts_and_a_torn_row_costs_itself_alone(tmp_
     assert read_curves(tmp_path / CURVES) == {"Loss/value": {1: 2.0, 3: 3.0}}
 
 
-def test_curves_go_to_wandb_offline_beside_the_file(tmp_path, monkeypatch):
+def test_curves_go_to_wandb(tmp_path, monkeypatch):
     """The run's own process would wait for the network; offline it writes a folder."""
     wandb = pytest.importorskip("wandb")
     for name, value in {"MODE": "offline", "DIR": str(tmp_path), "SILENT": "true"}.items():
@@ -49,7 +49,7 @@ def test_curves_go_to_wandb_offline_beside_the_file(tmp_path, monkeypatch):
     assert [*read_curves(tmp_path / CURVES)["Loss/surrogate"]] == [0, 1]
 
 
-def test_wandb_is_needed_only_by_who_asks_for_it(tmp_path, monkeypatch):
+def test_missing_wandb_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", None)
     make_runner(ToyEnv(), tmp_path).learn(1)
     with pytest.raises(RenetError, match="pip install wandb"):

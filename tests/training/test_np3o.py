@@ -103,14 +103,14 @@ def bandit(algorithm: np3o.NP3O, iterations: int) -> float:
 
 
 @pytest.mark.parametrize(("weight", "low", "high"), [(4.0, 0.5, 1.15), (0.0, 1.7, 2.3)])
-def test_constraint_is_kept_where_plain_ppo_breaks_it(weight, low, high):
+def test_constraint_binds_unlike_plain_ppo(weight, low, high):
     torch.manual_seed(0)
     steps = {"learning_rate": 1e-2, "num_learning_epochs": 2, "num_mini_batches": 2}
     algorithm = small(initial_std=0.3, cost_weight=weight, entropy=0.0, desired_kl=0.0, **steps)
     assert low < bandit(algorithm, 100) < high
 
 
-def test_critics_keep_their_rate_while_the_actors_adapts():
+def test_critics_keep_their_rate():
     # Hardly any step is as small as this divergence: the actor's rate falls.
     algorithm = small(desired_kl=1e-9)
     bandit(algorithm, 2)
@@ -127,7 +127,7 @@ def test_a_satisfied_constraint_contributes_nothing():
     assert torch.relu(cost + targets.violation).sum() == 0.0
 
 
-def test_a_noisy_critic_does_not_change_the_actors_step():
+def test_noisy_critic_leaves_actor_step():
     moved = []
     for noise in (0.0, 1e4):
         torch.manual_seed(0)
@@ -167,7 +167,7 @@ def test_clipped_value_loss_by_hand():
 
 
 @pytest.mark.parametrize(("weight", "most"), [(0.1, 1.0), (3.0, 3.0)])
-def test_the_weight_of_penalties_grows_to_one_or_stays(weight, most):
+def test_penalty_grows_to_one(weight, most):
     algorithm = small(cost_weight=weight, cost_weight_growth=1.5, num_learning_epochs=1)
     rollout, last = random_rollout(algorithm)
     weights = []
@@ -181,7 +181,7 @@ def test_the_weight_of_penalties_grows_to_one_or_stays(weight, most):
 @pytest.mark.parametrize(
     ("kl", "factor"), [(0.0, 1.0), (-1e-9, 1.0), (0.001, 1.5), (0.01, 1.0), (0.03, 1 / 1.5)]
 )
-def test_the_rate_follows_the_divergence_but_not_one_that_is_none(kl, factor):
+def test_rate_follows_divergence(kl, factor):
     """Zero is that of a first step, whose policy is the old one."""
     algorithm = small(desired_kl=0.01)
     algorithm._desired_kl, before = 0.01, algorithm.learning_rate

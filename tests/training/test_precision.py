@@ -50,7 +50,7 @@ def test_bfloat16_learns_what_single_precision_learns(two_threads):
     assert torch.cosine_similarity(*models, dim=0) > 0.95
 
 
-def test_a_module_computes_in_another_type_only_while_it_learns():
+def test_compute_in_is_temporary():
     layer, value = torch.nn.Linear(64, 8), torch.randn(3, 64)
     exact = layer(value)
     with compute_in(torch.bfloat16, layer):
@@ -98,7 +98,7 @@ def fail() -> int:
     raise ValueError("no")
 
 
-def test_work_side_by_side_shares_the_threads_and_gives_them_back(two_threads):
+def test_side_by_side_shares_threads(two_threads):
     meeting = threading.Barrier(2, timeout=20)
 
     def work() -> int:
@@ -124,7 +124,7 @@ def runs_at_once() -> bool:
 
 
 @pytest.mark.parametrize("longer", [0, 1])
-def test_work_that_ends_first_leaves_its_half_to_parts_of_the_other(two_threads, longer):
+def test_idle_half_serves_nested_work(two_threads, longer):
     may_end = threading.Event()
 
     def divided() -> list[bool]:
@@ -145,7 +145,7 @@ def test_work_that_ends_first_leaves_its_half_to_parts_of_the_other(two_threads,
 
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_work_is_divided_only_between_several_threads_of_a_cpu(two_threads, device):
+def test_one_thread_or_gpu_divides_nothing(two_threads, device):
     threads = 1 if device == "cpu" else 2
     torch.set_num_threads(threads)
     with halve_threads(device):
@@ -171,7 +171,7 @@ def test_learning_at_once_is_learning_in_turn(two_threads, kind):
         torch.testing.assert_close(other, states[0], atol=0, rtol=0)
 
 
-def test_nothing_on_a_gpus_path_waits_for_the_device():
+def test_policy_update_never_waits():
     env = ToyEnv()
     alg = make_runner(env, precision="float32").alg
     with Waits() as watch:
@@ -184,7 +184,7 @@ def test_nothing_on_a_gpus_path_waits_for_the_device():
 
 
 @pytest.mark.parametrize("iteration", [0, 20])
-def test_supervision_waits_for_the_device_once_before_it_has_done(iteration):
+def test_supervision_waits_once(iteration):
     env = ToyEnv()
     alg = make_runner(env, precision="float32").alg
     alg.iteration = iteration  # From 20 on OP learns, too.

@@ -56,7 +56,7 @@ def iterate(report: Report, training, clock: Clock, seconds: float) -> None:
     report.iterate()
 
 
-def test_steps_speed_time_left_and_levels_fit_into_80_columns(clock):
+def test_progress_fits_into_80_columns(clock):
     training = runner(14_900, 231.9e6, **CURVES, **LEVELS)
     report, _ = in_a_file(15_000, training)
     for _ in range(30):
@@ -81,7 +81,7 @@ def test_a_time_budget_counts_time(clock):
     assert second == "reward 12.35", "the plane has no levels"
 
 
-def test_the_last_iterations_tell_how_long_those_to_come_take(clock):
+def test_remaining_time_from_last_iterations(clock):
     training = runner()
     report, _ = in_a_file(1000, training)
     assert "-:--:-- left" in drawn(report)[0], "nobody knows yet"
@@ -104,7 +104,7 @@ def test_a_file_gets_a_line_a_minute(clock):
     assert lines[1].startswith("13/100  0.00 M steps  10,110 steps/s  0:07:15 left  gap 10.0")
 
 
-def test_a_budget_that_loading_used_up_is_no_error(clock):
+def test_budget_used_up_by_loading(clock):
     training = runner()
     report, _ = in_a_file(10, training, deadline=clock.now - 5.0)
     assert "100%" in drawn(report)[0]

@@ -74,7 +74,7 @@ def test_what_is_not_of_the_policy_stays(registered, stored, name, value):
         ("agent.keep_checkpoints", 10**9),
     ],
 )
-def test_numbers_out_of_bounds_are_refused_by_name(registered, stored, name, value):
+def test_numbers_out_of_bounds_are_named(registered, stored, name, value):
     put(stored, name, value)
     part = name.split(".")[0]
     with pytest.raises(RenetError, match=f"setting {name} is .* must be from"):

@@ -14,7 +14,7 @@ from renet.training.train import TrainCfg
 SHIPPED = Path(training.__file__).parents[1] / "pretrained" / "checkpoint"
 
 
-def test_a_value_is_reached_at_the_end_of_its_phase():
+def test_value_is_reached_at_phase_end():
     values = 5.0, 4.0, 3.0, 2.0, 1.0
     schedule = over_phases(*values)
     ends = [1e6 * end for end in PHASES.values()]
@@ -29,7 +29,7 @@ def test_a_phase_without_a_value_is_an_error():
         over_phases(1.0, 2.0)
 
 
-def test_robots_stand_from_the_end_of_climbing_and_practise_narrow_gaps_later():
+def test_standing_and_narrow_gaps_begin_late():
     params = TrainCfg.from_task(TASK).env.curriculum["level"].params
     assert value_at(params["easier_share"], 30e6) == 0.0
     assert value_at(params["easier_share"], 150e6) == pytest.approx(0.25)

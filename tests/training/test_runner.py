@@ -62,7 +62,7 @@ def test_resume_restores_everything(tmp_path):
     assert [*read_curves(tmp_path / CURVES)["Loss/surrogate"]] == [0, 1, 2]
 
 
-def test_a_rate_and_a_weight_that_are_asked_for_anew_are_obeyed(tmp_path):
+def test_new_rate_and_weight_are_obeyed(tmp_path):
     make_runner(ToyEnv(), tmp_path).learn(2)
     asked = NP3OCfg(learning_rate=1e-5, cost_weight=0.0)
     runner = make_runner(ToyEnv(), tmp_path, algorithm=asked)
@@ -115,7 +115,7 @@ def test_refuses_weights_of_another_architecture(tmp_path):
         (lambda: ModelCfg(history=0), "history must be at least 1, got 0"),
     ],
 )
-def test_impossible_settings_are_refused_before_anything_is_built(make, message):
+def test_impossible_settings_are_refused(make, message):
     with pytest.raises(RenetError, match=message):
         make()
 
@@ -130,7 +130,7 @@ def test_batches_grow_with_the_steps_taken(runner):
     assert steps == [200, 400, 720, 1120]
 
 
-def test_a_checkpoint_tells_its_settings_rules_and_code(tmp_path):
+def test_checkpoint_states_settings_and_code(tmp_path):
     runner = make_runner(ToyEnv(), tmp_path, average_over=10)
     runner.learn(5)
     found = checkpoints.load(checkpoints.find(tmp_path))
@@ -162,7 +162,7 @@ def test_a_step_never_pays_less_than_nothing(runner, monkeypatch):
     assert (stored[..., 1:] > 0.0).any(), "costs lie beside it"
 
 
-def test_stops_with_a_checkpoint_of_the_last_update(tmp_path):
+def test_stop_saves_last_update(tmp_path):
     env = ToyEnv()
     runner, step = make_runner(env, tmp_path, save_interval=100), env.step
 
@@ -197,7 +197,7 @@ def test_a_policy_that_diverged_is_not_saved(runner, tmp_path):
     assert checkpoints.find(tmp_path).name == "it_00000002"
 
 
-def test_only_rank_0_goes_on_with_rank_0s_random_numbers(tmp_path):
+def test_only_rank_0_restores_random_numbers(tmp_path):
     make_runner(ToyEnv(), tmp_path).learn(1)
     drawn = []
     for rank in (0, 1):
@@ -209,7 +209,7 @@ def test_only_rank_0_goes_on_with_rank_0s_random_numbers(tmp_path):
     assert not torch.equal(*drawn)
 
 
-def test_going_back_does_not_remove_what_was_just_written(tmp_path):
+def test_newest_checkpoint_is_never_removed(tmp_path):
     runner = make_runner(ToyEnv(), tmp_path, keep_checkpoints=3)
     runner.learn(6)
     runner.alg.iteration = 1
@@ -219,7 +219,7 @@ def test_going_back_does_not_remove_what_was_just_written(tmp_path):
 
 
 @pytest.mark.parametrize("group", ["velocity", "proprioception", "privileged"])
-def test_a_nan_in_what_the_environment_returns_stops_training(runner, tmp_path, group):
+def test_nan_from_environment_stops_training(runner, tmp_path, group):
     step = runner.env.step
 
     def broken(action):

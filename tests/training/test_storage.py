@@ -5,7 +5,7 @@ from renet.training.storage import StepBuffer
 from .conftest import ToyEnv, collect, make_runner
 
 
-def test_a_record_outlives_the_buffers_it_was_taken_from() -> None:
+def test_records_are_copies() -> None:
     recorder, buffer, flag = StepBuffer(), torch.zeros(2), torch.zeros(2, dtype=torch.bool)
     for step in range(3):
         buffer.fill_(step)
@@ -17,7 +17,7 @@ def test_a_record_outlives_the_buffers_it_was_taken_from() -> None:
     assert rows["time_out"][:, 0].tolist() == [False, True, False]
 
 
-def test_only_the_step_that_was_cut_short_is_bootstrapped() -> None:
+def test_only_time_outs_are_bootstrapped() -> None:
     env = ToyEnv()
     alg = make_runner(env).alg
     rewards, rollout = collect(alg, env, 25), alg._rollout

@@ -61,7 +61,7 @@ def replay(name: str, model: RENet, rollout: TickRollout) -> list[torch.Tensor]:
 
 
 @pytest.mark.parametrize("name", ["op", "vp"])
-def test_a_loss_is_of_the_estimators_heads_and_him(model, rollout, name):
+def test_losses_match_heads_and_him(model, rollout, name):
     """Eq. 1 has the velocity, to which eq. 2 adds feet height and height map."""
     heads = ["velocity"] if name == "op" else ["velocity", "feet_height", "height_map"]
     robots = slice(2) if name == "op" else slice(2, ROBOTS)
@@ -78,7 +78,7 @@ def test_a_loss_is_of_the_estimators_heads_and_him(model, rollout, name):
     assert losses[f"{name}_him"].item() == pytest.approx(him.item(), rel=1e-4)
 
 
-def test_vp_learns_the_ground_beyond_its_map_where_it_is_asked_to(rollout):
+def test_vp_learns_far_map(rollout):
     torch.manual_seed(0)
     model = RENet(ModelCfg(predict_far_map=True), critic_size=5).eval()
     losses = losses_of("vp", model, rollout)
@@ -90,7 +90,7 @@ def test_vp_learns_the_ground_beyond_its_map_where_it_is_asked_to(rollout):
     assert model.vp.gru.weight_hh.grad.abs().sum() > 0
 
 
-def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(model, rollout):
+def test_total_loss_is_scaled_sum(model, rollout):
     cfg = SupervisionCfg(num_learning_epochs=1, num_mini_batches=1)
     supervision = Supervision(model, cfg)
     (batch,) = supervision.draw_mini_batches(rollout)
@@ -108,7 +108,7 @@ def test_the_whole_loss_is_the_sum_of_both_and_the_autoencoders_in_scaled_units(
         torch.testing.assert_close(got, expected, atol=1e-5, rtol=1e-3)
 
 
-def test_a_step_that_ended_the_episode_teaches_him_nothing(model, rollout):
+def test_him_ignores_episode_ends(model, rollout):
     before = losses_of("op", model, rollout)
     rollout.next_valid[1, 0] = False
     rollout.next_proprioception[1, 0] = 1e3  # The next episode's first observation.
@@ -119,7 +119,7 @@ def test_a_step_that_ended_the_episode_teaches_him_nothing(model, rollout):
 
 
 @pytest.mark.parametrize("idle", ["op", "vp"])
-def test_an_estimator_that_does_not_drive_is_not_moved_by_momentum(model, rollout, idle):
+def test_momentum_leaves_idle_estimator(model, rollout, idle):
     supervision = Supervision(model, SupervisionCfg(num_mini_batches=1))
     supervision.update(rollout)  # Both drive: both have momentum.
     rollout.op_mask[:] = idle == "vp"
@@ -129,7 +129,7 @@ def test_an_estimator_that_does_not_drive_is_not_moved_by_momentum(model, rollou
     assert all(torch.equal(a, b) for a, b in zip(before, still, strict=True))
 
 
-def test_the_rate_follows_its_schedule_and_him_is_watched(model, rollout):
+def test_rate_follows_schedule(model, rollout):
     supervision = Supervision(model, SupervisionCfg(learning_rate="1e-3@1M,1e-4@3M"))
     losses = supervision.update(rollout, steps=2_000_000)
     assert supervision.optimizer.param_groups[0]["lr"] == pytest.approx(5.5e-4)
@@ -138,7 +138,7 @@ def test_the_rate_follows_its_schedule_and_him_is_watched(model, rollout):
         assert 1 <= losses[f"{name}_him_usage"] <= 32
 
 
-def test_views_hold_one_to_twenty_blades_and_holes_where_one_is_not_measured():
+def test_grass_views_have_blades_and_holes():
     views = draw_grass(seed=3)
     assert views.shape == (512, 48, 64)
     assert torch.equal(views, draw_grass(seed=3))
@@ -150,7 +150,7 @@ def test_views_hold_one_to_twenty_blades_and_holes_where_one_is_not_measured():
     assert 0.02 < holes.mean() < 0.2
 
 
-def test_blades_hide_the_ground_in_15_of_100_pairs_and_differ_between_their_images():
+def test_grass_covers_15_of_100_pairs():
     torch.manual_seed(0)
     pairs = torch.full((100, 2, 48, 64), 0.9)
     seen = grow_grass(pairs, draw_grass()[400:])
@@ -165,9 +165,7 @@ def test_blades_hide_the_ground_in_15_of_100_pairs_and_differ_between_their_imag
     ("detector", "pairs", "learned", "overgrown"),
     [("reconstruction", 12, 5, 0), ("reconstruction", 120, 40, 0), ("variance", 120, 40, 6)],
 )
-def test_detectors_learn_from_a_share_of_the_images_and_that_of_variances_from_grass(
-    monkeypatch, detector, pairs, learned, overgrown
-):
+def test_detectors_learn_from_a_share(monkeypatch, detector, pairs, learned, overgrown):
     model, taken = RENet(ModelCfg(detector=detector), critic_size=5), []
     monkeypatch.setattr(model.autoencoder, "loss", lambda images: taken.append(images) or {})
     # Two fifths of 12 pairs are 4.8; of 120, the setting takes fewer.
@@ -182,7 +180,7 @@ def test_detectors_learn_from_a_share_of_the_images_and_that_of_variances_from_g
     assert max(0, overgrown - 1) <= grown <= overgrown
 
 
-def test_the_maps_error_is_learnt_as_a_gaussian_likelihood_and_moves_nothing_else(rollout):
+def test_map_error_is_gaussian_likelihood(rollout):
     torch.manual_seed(0)
     model = RENet(ModelCfg(predict_map_error=True), critic_size=5)
     losses = losses_of("vp", model, rollout)
@@ -196,7 +194,7 @@ def test_the_maps_error_is_learnt_as_a_gaussian_likelihood_and_moves_nothing_els
     assert {name.rpartition(".")[0].rpartition(".")[0] for name in moved} == {"vp.map_error_head"}
 
 
-def test_the_detector_learns_from_true_images_alone(model, rollout, monkeypatch):
+def test_detector_ignores_withheld_images(model, rollout, monkeypatch):
     learned: list[torch.Tensor] = []
     rollout.frames[~rollout.has_image] = -1.0
     rollout.frames[rollout.has_image] = torch.rand(int(rollout.has_image.sum()), 1, 1, 1).half()
@@ -214,7 +212,7 @@ def test_the_detector_learns_from_true_images_alone(model, rollout, monkeypatch)
     assert len(learned) == 2
 
 
-def test_mini_batches_hold_each_environment_once_and_know_who_learns_from_it(model, rollout):
+def test_mini_batches_hold_each_environment_once(model, rollout):
     rollout.op_mask[1, 3] = True  # Both estimators drive the last robot.
     batches = Supervision(model, SupervisionCfg(num_mini_batches=3)).draw_mini_batches(rollout)
     assert sorted(torch.cat([batch.index for batch in batches]).tolist()) == [0, 1, 2, 3]

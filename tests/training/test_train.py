@@ -50,7 +50,7 @@ def finished(tmp_path_factory) -> Path:
     return train(small)
 
 
-def test_another_task_or_log_root_leaves_the_run_it_goes_on_from_alone(finished, tmp_path, capsys):
+def test_another_task_leaves_old_run(finished, tmp_path, capsys):
     before = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
     checkpoint = finished / "checkpoints" / "it_00000001"
     assert resumed_run(checkpoint, finished.parents[1]) == resumed_run(checkpoint, None) == finished
@@ -64,7 +64,7 @@ def test_another_task_or_log_root_leaves_the_run_it_goes_on_from_alone(finished,
         train(cfg(tmp_path, "Renet-Go1-Parkour", resume="latest", max_iterations=2))
 
 
-def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
+def test_older_checkpoint_branches_off(tmp_path):
     folder = tmp_path / "task" / "run" / "checkpoints"
     old, new = (checkpoints.save(Checkpoint({}, {}, {}), folder, it, keep=9) for it in (5, 9))
     assert resumed_run(old, None) is None
@@ -72,9 +72,7 @@ def test_an_older_checkpoint_of_a_run_branches_off(tmp_path):
     assert resumed_run(tmp_path / "checkpoints" / "best", None) is None
 
 
-def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
-    finished, tmp_path, capsys, monkeypatch
-):
+def test_resumed_run_keeps_options(finished, tmp_path, capsys, monkeypatch):
     run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
     options = ["--seed=3", "--env.scene.sensors.3.delay=(0.0,0.2)", "--max-iterations=2"]
     again = parse(TrainCfg, ["Renet-Go1-Flat", "--resume", str(run), *options], "")
@@ -108,7 +106,7 @@ def test_a_run_that_goes_on_needs_no_option_repeated_and_says_what_changed(
         (50, None, "260 control steps in an iteration, later 1,000, the most there are: take more"),
     ],
 )
-def test_what_iterations_are_is_said_and_that_those_of_few_robots_end_early(robots, fixed, line):
+def test_iterations_are_described(robots, fixed, line):
     agent = replace(TrainCfg.from_task(TASK).agent, num_steps_per_env=fixed)
     said = training.iterations(agent, robots, 0)
     assert said.startswith(f"Each robot takes {line}")
@@ -142,7 +140,7 @@ def print_tasks() -> None:
     print(*(task for task in list_tasks() if task.startswith("Renet-")))
 
 
-def test_what_is_known_without_torch_is_what_is_registered():
+def test_options_match_registered_tasks():
     # In a process of its own: other tests register tasks.
     assert fork(print_tasks).stdout.split() == sorted(options.TASKS)
     usual = options.UsualOptions(task=TASK)
@@ -150,7 +148,7 @@ def test_what_is_known_without_torch_is_what_is_registered():
     assert (usual.seed, usual.max_iterations) == (agent.seed, agent.max_iterations)
 
 
-def test_all_help_lists_the_settings_of_the_task(capsys):
+def test_full_help_lists_task_settings(capsys):
     run, config, arguments = COMMANDS["train"].load([TASK, "--help-all"])
     assert run is train
     with pytest.raises(SystemExit, match="0"):
@@ -158,7 +156,7 @@ def test_all_help_lists_the_settings_of_the_task(capsys):
     assert "--env.rewards.yaw.weight" in capsys.readouterr().out
 
 
-def test_the_papers_task_has_nothing_of_the_recipe():
+def test_paper_task_lacks_recipe():
     paper = TrainCfg.from_task(f"{TASK}-Paper")
     assert paper.agent == RenetRunnerCfg(task=paper.task, experiment_name=paper.task)
     rules = to_json(parkour_env_cfg())
@@ -195,7 +193,7 @@ def test_settings_come_back_from_their_description():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_a_run_with_a_checkpoint_and_a_line(tmp_path, capsys, monkeypatch, number):
+def test_signal_stops_with_checkpoint(tmp_path, capsys, monkeypatch, number):
     act, steps = training.RenetRunner._iterate, []
 
     def iterate(self, *args):
@@ -217,9 +215,7 @@ def test_a_signal_stops_a_run_with_a_checkpoint_and_a_line(tmp_path, capsys, mon
     assert said in capsys.readouterr().out.splitlines()
 
 
-def test_a_second_signal_interrupts_at_once_and_one_before_the_loop_leaves_nothing(
-    tmp_path, monkeypatch
-):
+def test_second_signal_interrupts_at_once(tmp_path, monkeypatch):
     def twice(self, *args):
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)
@@ -236,7 +232,7 @@ def test_a_second_signal_interrupts_at_once_and_one_before_the_loop_leaves_nothi
     assert not (tmp_path / "other").exists()
 
 
-def test_a_run_that_runs_is_not_gone_on_with(finished, tmp_path):
+def test_running_run_is_not_resumed(finished, tmp_path):
     run = shutil.copytree(finished, tmp_path / "Renet-Go1-Flat" / finished.name)
     with lock(run), pytest.raises(RenetError, match=f"another program writes to {run}"):
         train(cfg(tmp_path, resume=str(run), max_iterations=2))
@@ -251,24 +247,24 @@ def test_a_run_that_runs_is_not_gone_on_with(finished, tmp_path):
         ([TASK, "--resume", "nowhere"], "nothing to resume: nowhere does not exist"),
     ],
 )
-def test_a_line_without_a_task_or_a_run_is_refused(arguments, message):
+def test_line_without_task_is_refused(arguments, message):
     with pytest.raises(RenetError, match=message):
         parse(TrainCfg, arguments, "")
 
 
-def test_runs_begun_in_the_same_second_have_folders_of_their_own(tmp_path):
+def test_runs_of_one_second_differ(tmp_path):
     assert len({new_run(tmp_path, "task", "mine") for _ in range(3)}) == 3
     assert all("_mine" in run.name for run in (tmp_path / "task").iterdir())
 
 
 @pytest.mark.parametrize("name", ["../../elsewhere", "a/b", "\x1b]0;owned\x07", "a\0b"])
-def test_no_name_of_a_run_leads_out_of_its_experiment(tmp_path, name):
+def test_run_name_is_no_path(tmp_path, name):
     with pytest.raises(RenetError, match=r"agent.run-name must be no path"):
         new_run(tmp_path / "logs", "task", name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_process_gets_its_own_gpu_or_is_told(monkeypatch):
+def test_process_gets_its_own_gpu(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setenv("LOCAL_RANK", "1")
@@ -278,7 +274,7 @@ def test_a_process_gets_its_own_gpu_or_is_told(monkeypatch):
         resolve_device("auto")
 
 
-def test_the_newest_checkpoint_is_the_highest_iteration_of_the_last_run(tmp_path, capsys):
+def test_newest_checkpoint_by_run_and_iteration(tmp_path, capsys):
     """Not the file touched last: copying or syncing a run touches them in any order."""
     names = ("2026-01-01_10-00-00", 9), ("2026-01-02_10-00-00", 3), ("2026-01-02_10-00-00", 12)
     for age, (run, iteration) in enumerate(names):

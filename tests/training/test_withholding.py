@@ -24,7 +24,7 @@ def watch(cfg: WithholdingCfg, robots: int, ticks: int, *easier_and_steps) -> np
     return torch.stack(seen).numpy()
 
 
-def test_half_of_the_robots_lose_images_evenly_spread_and_begin_with_sight():
+def test_half_of_robots_lose_images():
     seen = watch(WithholdingCfg(share=0.5), 64, 600)
     assert seen[0].all()
     loses = ~seen.all(axis=0)
@@ -32,7 +32,7 @@ def test_half_of_the_robots_lose_images_evenly_spread_and_begin_with_sight():
     assert Withholding(WithholdingCfg(share=0.25), 12, "cpu")._robots.sum() == 3
 
 
-def test_times_without_an_image_are_log_uniform_and_sight_lasts_as_long_as_asked():
+def test_times_without_images_are_log_uniform():
     cfg = WithholdingCfg(share=1.0, shortest=0.5, longest=5.0, sight=2.0)
     seen = watch(cfg, 200, 3000)
     lengths: dict[bool, list[int]] = {False: [], True: []}
@@ -50,7 +50,7 @@ def test_times_without_an_image_are_log_uniform_and_sight_lasts_as_long_as_asked
     assert np.mean(lengths[True]) / 10 == pytest.approx(2.0, rel=0.05)
 
 
-def test_on_easier_tiles_images_are_lost_sooner_and_for_longer_once_a_schedule_says_so():
+def test_easier_tiles_follow_schedules():
     cfg = WithholdingCfg(1.0, easier_shortest="0.3@1M,4@1M", easier_sight="9@1M,0.2@1M")
     easier = torch.tensor([0.0, 1.0]).repeat(50)
     before, after = (watch(cfg, 100, 40, easier, steps) for steps in (0, 2_000_000))
@@ -78,7 +78,7 @@ def test_wrong_settings_are_refused_by_name(wrong):
         WithholdingCfg(**wrong)
 
 
-def test_the_algorithm_withholds_records_and_tells_the_critics():
+def test_critics_observe_image_age():
     torch.manual_seed(0)
     env = ToyEnv()
     alg = make_runner(env, withholding=WithholdingCfg(share=0.5, sight=0.3)).alg

@@ -102,10 +102,13 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
 
 
 def _torn(folder: Path) -> list[Path]:
-    """What a kill left of checkpoints that were being removed: they have no state any more."""
-    numbered = [path for path in folder.iterdir() if _has_checkpoint_name(path) and path.is_dir()]
-    stateless = [path for path in numbered if not (path / "state.json").exists()]
-    return [path for path in stateless if foreign(path, FILES) is None]
+    """List checkpoints whose removal was killed: they have no state any more."""
+    torn = []
+    for path in folder.iterdir():
+        is_checkpoint = _has_checkpoint_name(path) and path.is_dir()
+        if is_checkpoint and not (path / "state.json").exists() and foreign(path, FILES) is None:
+            torn.append(path)
+    return torn
 
 
 def checkpoints(folder: Path) -> list[Path]:

@@ -40,7 +40,7 @@ def camera(model: mujoco.MjModel = FLAT, robots: int = 1, **fields) -> DepthCame
     return sensor
 
 
-def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
+def test_wall_has_one_planar_depth():
     image = camera(scene('<geom type="box" size="0.1 0.3 5" pos="1.1 0 0"/>', ROBOT)).data
     seen = np.abs(Intrinsics().axes()[0]) < 0.3
     expected = np.where(seen, 1.0, 2.0)[None].repeat(48, 0)
@@ -50,14 +50,14 @@ def test_wall_is_at_one_planar_depth_and_edges_are_where_they_should_be():
     assert (np.argwhere(image[0].numpy() < 2.0).max(axis=0) < (24, 32)).all()
 
 
-def test_the_mount_yaws_then_pitches_and_never_rolls():
+def test_mount_yaws_then_pitches():
     pitch, yaw = torch.linspace(-1.0, 1.6, 9), torch.linspace(2.0, -2.0, 9)
     expected = Rotation.from_euler("ZY", torch.stack((yaw, pitch), -1)).as_matrix()
     expected = torch.from_numpy(expected).float()
     torch.testing.assert_close(mount_rotation(pitch, yaw), expected, atol=1e-6, rtol=0)
 
 
-def test_mount_errors_stay_in_the_papers_bounds_and_change_with_the_episode():
+def test_mount_errors_change_with_episodes():
     sensor = camera(robots=500, mount=MountCfg())
     offset = sensor._position - torch.tensor(MountCfg().position)
     assert 0.009 < offset.abs().max() <= 0.01
@@ -100,14 +100,14 @@ class Walk:
 
 @pytest.mark.parametrize("late", [0, 1, 3, 5, 7])
 @pytest.mark.parametrize("dt", [0.02, 0.005])  # Whether time passes by control or physics steps.
-def test_a_late_image_shows_the_view_from_where_the_camera_was(late, dt):
+def test_late_image_shows_earlier_view(late, dt):
     walk = Walk(1, (0.02 * late, 0.02 * late))
     for _ in range(2):
         got = walk.take(5 * round(0.02 / dt), dt)  # At last the image of step 10.
     assert got.item() == pytest.approx(2.0 - 0.1 * (10 - late), abs=1e-4)
 
 
-def test_a_late_camera_never_shows_an_earlier_episode():
+def test_delay_stays_within_the_episode():
     walk = Walk(2, (0.1, 0.1))
     walk.take(8)
     walk.xpos[1, :, 0] = -3.0
@@ -118,7 +118,7 @@ def test_a_late_camera_never_shows_an_earlier_episode():
     assert of_robot_1 == pytest.approx(2.0 - (-3.0 + 0.1), abs=1e-4)
 
 
-def test_delays_are_drawn_for_each_episode_from_all_whole_control_steps():
+def test_delays_are_whole_control_steps():
     walk = Walk(400, (0.0, 0.1))
     for _ in range(2):
         walk.take(5)
@@ -140,7 +140,7 @@ def ticks(sensor: DepthCamera, steps: int) -> list[int]:
     return [step for step, (a, b) in enumerate(pairwise(images), 1) if a is not b]
 
 
-def test_a_reset_between_steps_restarts_the_clock_and_one_inside_a_step_does_not():
+def test_reset_between_steps_restarts_clock():
     sensor = camera()
     assert ticks(sensor, 13) == [5, 10]
     sensor.update(0.02)
@@ -177,7 +177,7 @@ def test_any_mjlab_task_can_carry_the_camera():
     env.close()
 
 
-def test_a_pose_that_is_not_finite_sees_nothing_and_scenes_that_cannot_be_seen_are_refused():
+def test_nan_pose_sees_nothing():
     sensor = camera()
     sensor._data.xpos[:] = np.nan
     assert (sensor.data == 2.0).all()

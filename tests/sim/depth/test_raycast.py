@@ -58,7 +58,7 @@ def test_images_from_anywhere_agree_with_mujoco(angle, height, pitch, aside):
 
 
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 2, np.pi, 3 * np.pi / 2])
-def test_a_height_field_has_walls_and_a_base(yaw):
+def test_height_field_has_walls_and_base(yaw):
     model = scene('<geom type="hfield" hfield="f"/>', extra=SOLID)
     beside = np.array([-1.9 * np.cos(yaw), -1.9 * np.sin(yaw), 0.05], np.float32)
     below = np.array([0.01, 0.02, -1.0], np.float32)
@@ -67,7 +67,7 @@ def test_a_height_field_has_walls_and_a_base(yaw):
         assert assert_sees_what_mujoco_sees(model, eye, rotation) > least
 
 
-def test_a_flat_height_field_has_no_empty_triangles():
+def test_flat_height_field_has_no_empty_triangles():
     flat = f'<hfield name="f" nrow="3" ncol="3" size="1 1 1 1" elevation="{"0 " * 9}"/>'
     model = scene('<geom type="hfield" hfield="f"/>', extra=f"<asset>{flat}</asset>")
     _, triangles = terrain_shapes(model)
@@ -76,7 +76,7 @@ def test_a_flat_height_field_has_no_empty_triangles():
     assert len(triangles) == 2 * 4 + 10  # The surface, and a box without its top.
 
 
-def test_rays_see_only_what_is_fixed_and_collides_and_planes_beyond_their_drawn_size():
+def test_rays_hit_static_colliding_geoms():
     model = scene(
         '<geom type="plane" size="1 1 1" pos="0 0 .1"/>'
         '<geom type="box" size="1 1 2" contype="0" conaffinity="0"/>'
@@ -141,9 +141,7 @@ def caster(model) -> TerrainScanner:
     yaw=st.floats(-4, 4),
     limit=st.sampled_from([0.3, 2.0, 9.0]),
 )
-def test_an_image_shows_what_rays_hit_also_from_inside_a_box(
-    scanner, caster, x, y, z, pitch, yaw, limit
-):
+def test_images_match_rays_inside_boxes(scanner, caster, x, y, z, pitch, yaw, limit):
     eye = torch.tensor([[x, y, z]])
     rotation = mount_rotation(torch.tensor([pitch]), torch.tensor([yaw]))
     drawn = scanner.depth(eye, rotation, LENS, limit)
@@ -151,7 +149,7 @@ def test_an_image_shows_what_rays_hit_also_from_inside_a_box(
     assert ((drawn - cast).abs() > 1e-3).float().mean() < 0.002
 
 
-def test_cameras_see_for_themselves_wherever_they_are_in_the_batch(scanner):
+def test_cameras_are_independent_in_a_batch(scanner):
     random = torch.Generator().manual_seed(0)
     eyes = torch.rand(37, 3, generator=random) * torch.tensor([6.0, 6.0, 0.5]) - 3.0
     rotation = mount_rotation(*torch.rand(2, 37, generator=random))
@@ -161,7 +159,7 @@ def test_cameras_see_for_themselves_wherever_they_are_in_the_batch(scanner):
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf")])
-def test_a_pose_that_is_not_finite_sees_nothing_and_harms_nobody(scanner, number):
+def test_nan_pose_harms_no_other(scanner, number):
     eyes = torch.tensor([[0.0, -2.0, 0.8]] * 3)
     rotation = mount_rotation(torch.full((3,), 0.5), torch.zeros(3))
     whole = scanner.depth(eyes, rotation, LENS, 2.0)[0]
@@ -187,7 +185,7 @@ def test_clearances_are_those_rays_find(scanner, caster, frames, turned):
     assert ((heights - cast).abs() > 1e-4).float().mean() < 0.002
 
 
-def test_heights_do_not_depend_on_the_point_they_are_asked_from(scanner):
+def test_heights_are_independent_of_position(scanner):
     points = torch.rand(400, 2, generator=torch.Generator().manual_seed(1)) * 10 - 5
     over = scanner.clearance(torch.zeros(1, 3), None, points)[0]
     torch.testing.assert_close(scanner.height(points), -over)
@@ -210,7 +208,7 @@ def test_it_takes_views_and_double_precision(scanner):
     assert torch.equal(doubles, scanner.depth(eyes, rotation, LENS, 2.0))
 
 
-def test_boxes_that_touch_leave_no_gap_between_them():
+def test_touching_boxes_leave_no_gap():
     pair = "".join(f'<geom type="box" size="1 1 .1" pos="{x} 0 0"/>' for x in (-1, 1))
     touching = Rasterizer(scene(pair))
     seam = torch.stack((torch.zeros(50), torch.linspace(-1, 1, 50)), -1)

@@ -55,14 +55,14 @@ def test_only_tables_within_reach_can_be_touched():
         '<body><joint type="hinge"/><geom size="0.1"/></body>',
     ],
 )
-def test_models_whose_reach_is_unknown_keep_every_contact(more):
+def test_unbounded_reach_keeps_all_contacts(more):
     model = scene(TABLES, BOT, more)
     here = look(model, 0.0)
     assert here.culling.load_masks(model) == []
     assert all(touchable(here))
 
 
-def test_tables_come_into_reach_as_the_robot_walks():
+def test_bodies_come_into_reach():
     sim = look(scene(TABLES, BOT), 0.0, 16.0)
     for x in np.arange(0.0, 16.0, 0.1):
         move(sim, x, 16.0 - x)
@@ -87,7 +87,7 @@ def rollout() -> dict[str, torch.Tensor]:
     return {"rewards": torch.stack(rewards), "state": env.sim.data.qpos[:].clone(), **observations}
 
 
-def test_robots_on_tiles_fall_alike_with_and_without_the_tiles_out_of_reach(monkeypatch):
+def test_culling_changes_no_fall(monkeypatch):
     """And the same seed draws the same levels, noise and randomisation."""
     culled = rollout()
     monkeypatch.setattr(collision_culling, "_bounded_static_bodies", lambda model: np.empty(0, int))

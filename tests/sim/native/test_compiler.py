@@ -38,7 +38,7 @@ def test_all_is_done_once_each_time(monkeypatch, things: int, alone: bool):
         assert not worked[1 if alone else 5 :].any()
 
 
-def test_several_threads_work_and_python_and_c_lay_structs_out_alike(monkeypatch):
+def test_threads_share_structs_with_c(monkeypatch):
     monkeypatch.setattr(threads, "THREADS", 2)
     argument, _, worked = counter(0, waits_for=2)
     SOURCE.call("count", argument)
@@ -47,7 +47,7 @@ def test_several_threads_work_and_python_and_c_lay_structs_out_alike(monkeypatch
     assert argument.flag == 0
 
 
-def test_a_struct_keeps_alive_what_it_points_to():
+def test_struct_keeps_pointees_alive():
     argument, done, _ = counter(1000)
     reference = weakref.ref(done)
     del done
@@ -58,7 +58,7 @@ def test_a_struct_keeps_alive_what_it_points_to():
     assert reference() is None
 
 
-def test_missing_fields_misspelt_ones_and_structs_python_cannot_share_are_refused():
+def test_wrong_fields_are_refused():
     for fields in ({"threads": 0}, {"threads": 0, "taken": 0, "given": 0}):
         with pytest.raises(TypeError, match=r"Work: missing or unknown"):
             SOURCE.struct("Work")(**fields)

@@ -40,7 +40,7 @@ def read(sim: NativeSimulation, *names: str) -> dict[str, torch.Tensor]:
     return {name: getattr(sim.data, name)[:].clone() for name in names}
 
 
-def test_a_control_step_ends_with_poses_and_velocities_of_the_state_it_leads_to():
+def test_control_step_ends_with_new_poses():
     sim = spun(4)
     derived = read(sim, "xpos", "xquat", "xmat", "site_xpos", "cvel", "subtree_com", "sensordata")
     sim.forward()
@@ -83,7 +83,7 @@ def test_randomised_colours_are_left_to_viewers():
     assert torch.equal(spun(1).data.qpos[:], spun(1, "geom_rgba").data.qpos[:])
 
 
-def test_a_reset_puts_its_environments_where_they_began_and_no_others():
+def test_reset_touches_only_its_environments():
     new, sim = simulate(scene(FREE_BODY, extra=MOTOR)), spun(10)
     before = read(sim, "qpos", "qvel", "ctrl", "time", "sensordata")
     sim.reset(torch.tensor([1]))
@@ -98,7 +98,7 @@ def stand_on_flat_ground(cfg: ManagerBasedRlEnvCfg) -> None:
     del cfg.events["push_robot"]
 
 
-def test_the_stock_go1_walks_alike_on_both_engines():
+def test_stock_go1_matches_on_both_engines():
     """50 control steps of small actions under randomised friction and centre of mass.
 
     Contact makes trajectories diverge from rounding: single against double precision, and solvers
@@ -182,7 +182,7 @@ def run(sim: NativeSimulation, steps: int) -> None:
     sim.forward()
 
 
-def test_a_pushed_crate_slides_as_far_as_its_own_friction_lets_it():
+def test_crate_slides_by_its_own_friction():
     """A push is a written velocity. Coulomb: the crate stops after v² / (2 mu g)."""
     sim, friction, speed = crates(), [0.2, 0.4, 0.8], 1.0
     sim.expand_model_fields(("geom_friction",))
@@ -204,7 +204,7 @@ def test_a_pushed_crate_slides_as_far_as_its_own_friction_lets_it():
         assert slid == pytest.approx(data.qpos[0] - begin, abs=1e-3)
 
 
-def test_a_resting_crate_presses_with_its_randomised_weight():
+def test_crate_presses_with_randomised_weight():
     # Off its frame's centre: MuJoCo compiles the inertia of a lone body that is not.
     sim, mass = crates(CRATE.replace('type="box"', 'type="box" pos="0.001 0 0"')), [1.0, 2.0, 4.0]
     sim.expand_model_fields(("body_mass",))
@@ -236,7 +236,7 @@ def test_a_lifted_crate_is_not_touching():
 @pytest.mark.parametrize(
     ("field", "bad"), [("qpos", np.nan), ("qvel", np.nan), ("qvel", np.inf), ("qvel", 1e30)]
 )
-def test_an_exploding_neighbour_does_not_change_a_sliding_crate(field, bad):
+def test_exploding_neighbour_changes_nothing(field, bad):
     broken, whole = crates(), crates()
     for sim in (broken, whole):
         sim.data.qvel[:, 0] = 0.5
@@ -259,7 +259,7 @@ def use_two_tiles(cfg: ManagerBasedRlEnvCfg) -> None:
     generator.num_rows, generator.num_cols = 1, 2
 
 
-def test_the_stock_rough_task_runs_and_scans_the_ground_that_mujocos_rays_find():
+def test_rough_task_scans_mujocos_ground():
     """From where robots are: Warp's rays read what the native engine has written."""
     env = make("Mjlab-Velocity-Rough-Unitree-Go1", use_two_tiles, "native")
     for _ in range(3):

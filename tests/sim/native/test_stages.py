@@ -69,7 +69,7 @@ def test_steps_are_mujocos_own(order, integrator, monkeypatch):
 WHOLE_WORLD = ("<e_potential/>", '<subtreecom body="world"/>', '<rangefinder site="imu"/>')
 
 
-def test_what_looks_at_the_whole_world_is_shown_all_of_it_as_rare_features_are():
+def test_world_sensors_get_whole_model():
     assert moving_part(robots(WALKER, TILES)) == (4, 4)
     by_hand = robots(WALKER, TILES, '<body mocap="true"><geom size=".1"/></body>')
     assert moving_part(by_hand)[0] == by_hand.nbody
@@ -91,9 +91,7 @@ def test_what_looks_at_the_whole_world_is_shown_all_of_it_as_rare_features_are()
         (stages, "CONTACTS", stages.CONTACTS[:2], "its stages do not make its step"),
     ],
 )
-def test_an_unknown_mujoco_is_refused_with_what_to_do(
-    monkeypatch, tmp_path, module, name, value, message
-):
+def test_unknown_mujoco_is_refused(monkeypatch, tmp_path, module, name, value, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "libmujoco.9.dylib").touch()
@@ -105,7 +103,7 @@ def test_an_unknown_mujoco_is_refused_with_what_to_do(
     mujoco_memory.mujoco_library.cache_clear()
 
 
-def test_time_is_found_and_nothing_is_changed_in_looking_for_it():
+def test_time_is_found_unchanged():
     data = mujoco.MjData(robots(WALKER, TILES))
     data.time = 2.5
     assert mujoco_memory.time(data) == [2.5]
