@@ -45,7 +45,15 @@ SWITCHES = (
     ("severity_5", "blind"),
 )
 """Studies and modes of the table of switches, column by column."""
-LEADERBOARD = ("go1-parkour", "oracle_withholds", "playground", "himloco", "robogauge")
+LEADERBOARD = (
+    "go1-parkour",
+    "oracle",
+    "oracle_withholds",
+    "playground",
+    "himloco",
+    "robogauge",
+    "robot-lab",
+)
 """Result files of the fault benchmark's quick leaderboard, the reference first."""
 
 
