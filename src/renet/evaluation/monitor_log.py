@@ -65,7 +65,7 @@ def healthy_series(
     }
 
 
-def replay(selector: MonitorSelector, anomaly: np.ndarray) -> np.ndarray:
+def replay(selector: Selector, anomaly: np.ndarray) -> np.ndarray:
     """A selector's answers [T, U, N] to the anomaly scores [T, N] of a run, which did not obey it.
 
     It judges anomaly scores alone, as the paper's does.
