@@ -6,8 +6,8 @@ import numpy as np
 
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
+from renet.pilot.pilot import Selector
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
-from renet.selector.selector import MonitorSelector
 
 
 class MonitorLog:
