@@ -69,7 +69,7 @@ def test_front_matter_is_what_the_hub_reads(tmp_path, results):
     assert [(metric["type"], metric["name"], metric["value"]) for metric in result["metrics"]] == [
         ("level", "mean highest level, gap (95 % interval 8.1 to 8.5)", 8.3),
         ("level", "mean highest level, flat", 10.0),
-        ("falls", "falls of 943 robots with vp, in 41 of 41 settings", 164),
+        ("falls", "falls of 943 robots with camera, in 41 of 41 settings", 164),
     ]
 
 
@@ -84,7 +84,7 @@ def test_every_number_comes_from_the_files(tmp_path, results):
         assert any(value == pytest.approx(float(source), rel=6e-3) for source in sources), value
     assert all(digest in text for digest in json.loads(MANIFEST)["sha256"].values())
     assert Bundle.load().sha256 in text
-    assert "| noise | falls of 23 robots with vp, in 1 of 1 settings | 4 |" in text
+    assert "| noise | falls of 23 robots with camera, in 1 of 1 settings | 4 |" in text
     assert r"noise: not met: nobody falls \| &lt;b&gt;ever&lt;/b&gt; (4 fell)" in text
     assert "noise: 17 robots did not notice foam of severity 3" in text
 

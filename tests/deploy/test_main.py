@@ -50,7 +50,7 @@ def test_out_of_the_box_it_remembers_the_gap_and_crosses_it_with_its_camera_blac
     assert cli.main([*arguments.split(), "--seconds", "10", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
     story = "sees → remembers → crossed the gap; "
-    for words in ("standing_up: armed", "walking: stood up", "memory: the image is", story):
+    for words in ("standing_up: armed", "walking: stood up", "remembers: the image is", story):
         assert words in out
     score = json.loads((tmp_path / SCORE).read_text())
     expected = {"falls": 0, "complete": True, "distance_from": "simulator"}

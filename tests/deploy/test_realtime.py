@@ -100,6 +100,6 @@ def test_the_loop_waits_for_a_vision_thread_of_its_own_priority(tmp_path, monkey
     if loop[0][0] != os.SCHED_FIFO:
         pytest.skip("the system refuses real-time priority")
     assert loop == [(os.SCHED_FIFO, main.PRIORITY)]
-    thread, _ = vision[0]
-    assert thread is not threading.main_thread()
-    assert {how for _, how in vision} == set(loop)
+    # The checklist of a dry run times the models on the main thread.
+    ticks = {how for thread, how in vision if thread is not threading.main_thread()}
+    assert ticks == set(loop)

@@ -118,7 +118,7 @@ def test_nominal_conditions_neither_push_nor_add_noise_to_sensors():
     for result in walk(world, 5):
         truth = world.env.observation_manager.compute_group("proprioception")
         np.testing.assert_array_equal(result.proprioception, truth)
-    assert world._camera._most == 0
+    assert world._camera._max_delay == 0
     assert not world._disturbances.draw_pushes()[0].any()
 
 
@@ -146,5 +146,5 @@ def test_an_evaluator_under_training_conditions_makes_every_ground_so():
         assert depth_camera(cfg).delay == (0.0, 0.1)
         assert {"motor_strength", "joint_offset", "push"} <= set(cfg.events)
     env = evaluator.make_env({"gap": 3}, [0, 0], 0.6, 1)
-    assert env._camera._most == 5
+    assert env._camera._max_delay == 5
     assert Evaluator().terrain_env_cfg("flat").events.keys().isdisjoint({"push", "motor_strength"})

@@ -171,7 +171,7 @@ def test_standing_motion_counts_when_standing(flat, goal):
 def test_extra_rewards_are_the_recipes():
     paper, ours = (env_cfg(f"Renet-Go1-{task}").rewards for task in ("Parkour-Paper", "Parkour"))
     extra = ours.keys() - paper.keys()
-    ours_alone = {"alive", "foot_clearance", "standing_motion", "stepping", "upright_tracking"}
+    ours_alone = {"foot_clearance", "standing_motion", "stepping", "upright_tracking"}
     assert extra == ours_alone
     changed = [name for name, term in paper.items() if ours[name].weight != term.weight]
     assert changed == ["collision"]

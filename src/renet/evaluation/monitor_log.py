@@ -6,8 +6,8 @@ import numpy as np
 
 from renet.evaluation.trace import UPDATES_PER_STEP, Trace
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
+from renet.pilot.pilot import Selector
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
-from renet.selector.selector import MonitorSelector
 
 
 class MonitorLog:
@@ -65,7 +65,7 @@ def healthy_series(
     }
 
 
-def replay(selector: MonitorSelector, anomaly: np.ndarray) -> np.ndarray:
+def replay(selector: Selector, anomaly: np.ndarray) -> np.ndarray:
     """A selector's answers [T, U, N] to the anomaly scores [T, N] of a run, which did not obey it.
 
     It judges anomaly scores alone, as the paper's does.

