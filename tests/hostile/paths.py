@@ -37,6 +37,7 @@ VARIANTS: dict[str, list[list[str]]] = {
     "page": [["--runtime", "packages"]],
     "train": [["Renet-Go1-Flat", "--max-iterations", "1", "--num-envs", "2"]],
     "bundle card": [["--out", "out"]],
+    "bundle push": [["shipped", "owner/name"]],
     "calibrate": [["shipped"]],
     "identify": [["recording.log", "--robot", "go2"]],
     "evaluate leaderboard": [["recording.log"]],

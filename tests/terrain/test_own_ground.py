@@ -149,6 +149,7 @@ def test_a_scenes_height_field_keeps_its_heights(tmp_path):
             "geom beam of the scene reaches beyond the 8 m square",
         ),
         ("<geom", "cannot use the scene"),
+        ("<replicate count='1000000000'><geom size='1'/></replicate>", "needs more than"),
     ],
 )
 def test_scenes_that_cannot_be_are_told_in_a_line(tmp_path, body, message):

@@ -1,5 +1,9 @@
-"""Somebody's own ground as a kind of tile: a height map, or the static geoms of an MJCF scene."""
+"""Somebody's own ground as a kind of tile: a height map, or the static geoms of an MJCF scene.
 
+A scene is first tried in a process with limits, for MuJoCo may compile one without end.
+"""
+
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +22,7 @@ from renet.terrain.tiles import (
     TileBuilder,
     TileGeom,
 )
+from renet.trial import judge, run_trial
 
 SCENE = ".xml"
 KIND = "own"
@@ -128,11 +133,12 @@ class OwnScene(Tile):
     source: GroundFile
 
     def __post_init__(self) -> None:
+        try_scene(self.source.file)
         self.model = compile_scene(self.source.file)
         """The scene by itself."""
         self._data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self._data)
-        self.begin = start_height(self.model, self.source.file)
+        self.begin = start_height(self.model)
         """Height of the start, m."""
         tops = [self._top(geom) for geom in self._touched]
         # The same at every level: what grows with it on other tiles.
@@ -297,31 +303,40 @@ def _demand_inside(low: np.ndarray, high: np.ndarray, name: str) -> None:
         )
 
 
+def try_scene(file: Path) -> None:
+    """Raise RenetError unless a scene holds ground, without loading it in this process."""
+    require_regular(file, MAX_SCENE, "scene")
+    run_trial("renet.terrain.own_ground", [str(file)], f"cannot use the scene {file}")
+
+
+def _trial() -> str:
+    """What is wrong with the scene that the command line names."""
+    try:
+        start_height(compile_scene(Path(sys.argv[1])))
+    except RenetError as error:
+        return str(error)
+    return ""
+
+
 def compile_scene(file: Path) -> mujoco.MjModel:
     """A scene's model; raises RenetError where MuJoCo cannot compile it, or something moves."""
-    require_regular(file, MAX_SCENE, "scene")
     try:
         model = mujoco.MjSpec.from_file(str(file)).compile()
-    except (ValueError, MemoryError) as error:
-        first = (str(error).splitlines() or ["too little memory"])[0]
-        raise RenetError(f"cannot use the scene {file}: {first}") from error
+    except ValueError as error:
+        raise RenetError(str(error).splitlines()[0]) from error
     if model.njnt:
         body = model.body(model.jnt_bodyid[0]).name
         raise RenetError(
-            f"cannot use the scene {file}: its body {body!r} moves: give the ground alone, without"
-            " robots or other bodies that have joints"
+            f"its body {body!r} moves: give the ground alone, without robots or other bodies that"
+            " have joints"
         )
     return model
 
 
-def start_height(model: mujoco.MjModel, file: Path) -> float:
+def start_height(model: mujoco.MjModel) -> float:
     """Height in m of the highest surface that a robot around x = y = 0 stands on."""
     places = np.linspace(-START_AREA, START_AREA, 5)
-    try:
-        heights = [ground_height(model, x, y) for x in places for y in places]
-    except RenetError as error:
-        raise RenetError(f"cannot use the scene {file}: {error}") from error
-    return max(heights)
+    return max(ground_height(model, x, y) for x in places for y in places)
 
 
 def ground_height(model: mujoco.MjModel, x: float = 0.0, y: float = 0.0) -> float:
@@ -361,3 +376,7 @@ def ground_height(model: mujoco.MjModel, x: float = 0.0, y: float = 0.0) -> floa
             f" (contype 1), with {HEADROOM:g} m of room above it"
         )
     return min(heights, key=abs)
+
+
+if __name__ == "__main__":
+    judge(_trial)
