@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from renet.descriptions import GO2
+from renet.identification import replay
 from renet.identification.fit import END_STOP, MotorFitter, per_joint, standard_error, valid_rows
 from renet.identification.motion_log import MotionLog
 from renet.identification.replay import DELAY, SuspendedRobot
@@ -36,7 +37,7 @@ def test_a_delay_of_whole_rows_is_a_shift(robot, log):
 def test_parts_of_a_replay_are_one(robot, monkeypatch):
     tables = [robot.described_motors, 1.5 * robot.described_motors]
     whole = robot.replay(tables, ROWS)
-    monkeypatch.setattr("renet.identification.replay.CHUNK_STEPS", 7)
+    monkeypatch.setattr(replay, "CHUNK_STEPS", 7)
     np.testing.assert_allclose(robot.replay(tables, ROWS), whole, atol=1e-6)
 
 

@@ -100,7 +100,7 @@ export class Controller {
     const remembers = this.estimator === "memory" && !this.policy.hasImage;
     this.driving = vision ? (remembers ? "remembers" : "sees") : "blind";
     this.action = await this.policy.act(this.observation, vision);
-    const command = this.limited(this.policy.jointTarget(this.action), state);
+    const command = this.limited(this.policy.jointTarget(this.action), state, this.rateAfter(now - this.since));
     this.vision = this.selector.update(this.seen(fresh, now), now);
     return command;
   }
@@ -164,10 +164,17 @@ export class Controller {
     return this.start.map((q, i) => q + smooth * (this.robot.default_position[i] - q));
   }
 
+  /** Fastest change of a joint target, rad/s, some seconds after a walk began. */
+  rateAfter(walked) {
+    const { walk_in_seconds: seconds, first_rate: slow, target_rate: fast } = this.cfg;
+    const first = Math.min(slow, fast);
+    return first + clamp(walked / seconds, 0, 1) * (fast - first);
+  }
+
   /** Servo command for joint positions [12] rad, within all limits of the safety layer. */
-  limited(wished, state) {
-    const { robot, cfg, contract } = this;
-    const reach = cfg.target_rate * contract.controlDt;
+  limited(wished, state, rate = this.cfg.target_rate) {
+    const { robot, contract } = this;
+    const reach = rate * contract.controlDt;
     const stiffness = [];
     const damping = [];
     this.target = Array.from(wished, (value, i) => {

@@ -133,6 +133,11 @@ export class Selector {
     // The first withheld image gave the reason.
     const objection = verdicts.findIndex((fine, i) => !fine && !(this.reason && this.monitors[i].ofImage));
     if (ceasing && !(good && healthy) && objection >= 0) this.reason = this.monitors[objection].reason;
+    // What spoilt the images is no news: that it lasts ends the memory.
+    const expired = Number.isFinite(this.withoutImage) && this.withoutImage > this.longestMemory;
+    if (leaving && this.longestMemory && expired) {
+      this.reason += ` for ${this.longestMemory} s, as long as it remembers`;
+    }
     return this.vision;
   }
 
