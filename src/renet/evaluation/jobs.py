@@ -12,7 +12,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
@@ -122,7 +122,7 @@ def _start(pickled: bytes, processors: list[int]) -> tuple[BaseProcess, Connecti
     # To fork a process with threads, such as PyTorch's, is not safe.
     context = get_context("spawn")
     ours, theirs = context.Pipe()
-    process = context.Process(target=_work, args=(theirs, processors, pickled), daemon=True)
+    process = context.Process(target=_work, args=(theirs, processors), daemon=True)
     # A terminal sends Ctrl-C to all processes. Only this one is to speak of it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -130,6 +130,8 @@ def _start(pickled: bytes, processors: list[int]) -> tuple[BaseProcess, Connecti
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     theirs.close()
+    with suppress(BrokenPipeError):  # It has ended, which its job's first message says.
+        ours.send_bytes(pickled)
     return process, ours
 
 
@@ -165,7 +167,7 @@ def _ended(jobs: list[Job]) -> Iterator[None]:
             job.connection.close()
 
 
-def _work(connection: Connection, processors: list[int], pickled: bytes) -> None:
+def _work(connection: Connection, processors: list[int]) -> None:
     """Make the parts that the other end of the connection names, until it names none."""
     # Of these, Python's exit removes what is half-written.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
@@ -181,8 +183,8 @@ def _work(connection: Connection, processors: list[int], pickled: bytes) -> None
 
     tell_progress(tell)
     try:
-        # Bytes of this program's own making. Only now, for the study's imports make thread pools.
-        make = pickle.loads(pickled).part_maker()
+        # The study comes only now, for its imports make thread pools.
+        make = connection.recv().part_maker()
         connection.send(None)
         while names := connection.recv():
             for name in names:
