@@ -86,7 +86,7 @@ class CameraUseStudy(LevelStudy):
     """Whether a policy uses its camera: twins that are shown wrong images, on six grounds."""
 
     out: Path = Path("results/camera_use")
-    """Folder for summary.json, summary.csv, camera_use.png and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, camera_use.png and parts/."""
     grounds: tuple[str, ...] = (
         "flat:1",
         "obstacles:6",

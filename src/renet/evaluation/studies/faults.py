@@ -52,7 +52,7 @@ class FaultStudy(WalkingStudy):
     """
 
     out: Path = Path("results/faults")
-    """Folder for summary.json, summary.csv, figures and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, figures and parts/."""
     faults: tuple[str, ...] = LISTED
     """Faults to inject: NAME at all severities, or NAME:SEVERITY; by default 29 of them."""
     severities: tuple[int, ...] = SEVERITIES
@@ -397,10 +397,28 @@ class FaultStudy(WalkingStudy):
             ("yes" if claim["met"] else "NO", claim["claim"], claim["measured"])
             for claim in summary["claims"]
         ]
-        return [
+        harmful = [
+            (figures.setting_label(h), f"{100 * h['memory']:.0f}", f"{100 * h['blind']:.0f}")
+            for h in summary["harmful"]
+            if h["beyond_chance"]
+        ]
+        missed = [
+            (figures.setting_label(m), m["undetected"], m["vp_falls"], m["vp_spared"])
+            for m in summary["missed"]
+            if m["beyond_chance"]
+        ]
+        tables: list[Table] = [
             ("Robots that cross (%)", ("ground", "fault", *self.modes), crossed),
             ("What is claimed, and what was measured", ("met", "claim", "measured"), claims),
         ]
+        if harmful:
+            title = "On their feet (%): fewer in mode memory than blind, beyond chance"
+            tables.append((title, ("setting", "memory", "blind"), harmful))
+        if missed:
+            title = "Faults that robots do not notice, and that make VP fall beyond chance"
+            header = ("setting", "do not notice", "fall by it in camera", "spared")
+            tables.append((title, header, missed))
+        return tables
 
 
 def _part_of(walk: Callable[[], Mapping[str, Part]], name: str) -> Part:

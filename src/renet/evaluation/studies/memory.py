@@ -37,7 +37,7 @@ class MemoryStudy(LevelStudy):
     """How long a robot finds its way without an image."""
 
     out: Path = Path("results/memory")
-    """Folder for summary.json, summary.csv, memory.png and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, memory.png and parts/."""
     grounds: tuple[str, ...] = (
         "gap:3",
         "gap:5",

@@ -33,7 +33,7 @@ class StopsStudy(WalkingStudy):
     """Whether robots that are told to go on stop before walls and ledges."""
 
     out: Path = Path("results/stops")
-    """Folder for summary.json, summary.csv and parts/."""
+    """Folder for summary.md, summary.json, summary.csv and parts/."""
     kinds: tuple[Literal["wall", "ledge"], ...] = ("wall", "ledge")
     """What stands in the way."""
     height: float = 1.0

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial.transform import Rotation
 
 from renet.errors import RenetError
-from renet.evaluation.report.painter import Painter, View
+from renet.evaluation.painter import Painter, View
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT, STEPS_PER_TICK
