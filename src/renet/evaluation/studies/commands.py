@@ -115,7 +115,7 @@ class CommandStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """One row for each command and mode."""
-        header = ("policy", "asked", "done", "fell", "drift", "W", "N m")
+        header = ("mode", "asked", "done", "fell", "drift", "W", "N m")
         rows = []
         for run in summary["runs"]:
             asked = " ".join(f"{value:g}" for value in run["command"])

@@ -74,7 +74,7 @@ class MemoryStudy(LevelStudy):
 
     @property
     def settings(self) -> list[tuple[float, str]]:
-        """Seconds without an image and mode of each group; OP walks as with a healthy camera."""
+        """Seconds without an image and mode of each group; to blind robots no image is missing."""
         return [
             (seconds, mode)
             for mode in self.modes
@@ -131,7 +131,7 @@ class MemoryStudy(LevelStudy):
             f"{SIZES[kind]} {100 * size:.0f} cm": [
                 run | {"without_s": time}
                 for run in sorted(runs, key=lambda run: run["without_s"])
-                # OP, which never sees, has one share at all times.
+                # Mode blind, which never sees, has one share at all times.
                 for time in (times if run["mode"] == "blind" else [run["without_s"]])
             ]
             for (kind, size), runs in grouped(summary["runs"], "ground", "size_m").items()

@@ -1,4 +1,4 @@
-"""The fault study's preset `noise`: the paper's comparison of RENet with the VP estimator alone."""
+"""The fault study's preset `noise`: the paper's noise figure, modes camera and memory."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from renet.interface import Terrain
 
 @dataclass(frozen=True)
 class NoiseStudy(FaultStudy):
-    """The paper's noise figure: VP alone against RENet on flat ground, noise until the end."""
+    """The paper's noise figure: modes camera and memory on flat ground, noise until the end."""
 
     out: Path = Path("results/noise")
     """Folder for summary.md, summary.json, summary.csv, noise.png, timeline.png and parts/."""
@@ -69,7 +69,7 @@ class NoiseStudy(FaultStudy):
         for name, (setting,) in self.batches.items():
             batches[setting.fault, setting.level] = parts[name]
         curves = {
-            # OP walks alike under every noise.
+            # Blind robots walk alike under every noise.
             mode: {
                 setting: np.array(part["speed"].get(mode, parts["no_fault"]["speed"][mode]))
                 for setting, part in batches.items()

@@ -101,7 +101,7 @@ class StopsStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The rows."""
-        header = ("barrier", "angle (degrees)", "policy", "fell", "walked (m)")
+        header = ("barrier", "angle (degrees)", "mode", "fell", "walked (m)")
         rows = []
         for run in summary["runs"]:
             walked = "-" if run["walked_m"] is None else f"{run['walked_m']:.2f}"
