@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,7 +93,7 @@ class Told:
         return action
 
 
-def commanded(conduct: str, mode: str = "memory") -> tuple[np.ndarray, np.ndarray]:
+def commanded(conduct: Any, mode: str = "memory") -> tuple[np.ndarray, np.ndarray]:
     """Speeds told, and whether the ground ahead was unseen, of a camera that dies after 1 s."""
     pilot = renet.load("go1-parkour", mode=mode, unseen=conduct)
     told = Told(pilot, velocity=0.5)
@@ -130,4 +131,4 @@ def test_robots_without_memory_go_on():
 
 def test_an_unknown_conduct_is_refused():
     with pytest.raises(RenetError, match="unseen"):
-        renet.load("go1-parkour", unseen="fly")
+        renet.load("go1-parkour", unseen="fly")  # type: ignore[arg-type]

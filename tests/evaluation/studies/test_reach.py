@@ -1,4 +1,4 @@
-"""Robots whose cameras die before a gap, in a scene that is built, and settings that are refused."""
+"""Robots whose cameras die before a gap, in a built scene, and settings that are refused."""
 
 import pytest
 
