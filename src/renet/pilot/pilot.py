@@ -119,7 +119,7 @@ class Pilot:
             reach: distance ahead of the base up to which VP remembers its last image, m.
 
         Raises:
-            RenetError: unknown mode or conduct.
+            RenetError: unknown mode or conduct, or another number of conducts than of robots.
         """
         for mode in dict.fromkeys(modes):
             demand_name("mode", mode, PILOT_MODES)
@@ -142,6 +142,8 @@ class Pilot:
         self._camera = ImageHolder(robots)
         self._steps = 0
         conducts = [unseen] * robots if isinstance(unseen, str) else list(unseen)
+        if len(conducts) != robots:
+            raise RenetError(f"{len(conducts)} conducts for {robots} robots: give one, or one each")
         for conduct in dict.fromkeys(conducts):
             demand_name("unseen", conduct, UNSEEN)
         self._fastest = np.array([SPEEDS[conduct] for conduct in conducts])

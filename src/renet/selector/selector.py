@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from renet.errors import RenetError, demand_name
-from renet.interface import HEIGHT_MAP_X
+from renet.interface import FAR_MAP_X, HEIGHT_MAP_X
 from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
 from renet.selector.monitors import MONITORS, Gate, Scorer, SelectorInput
 
@@ -293,6 +293,10 @@ def check_selector(spec: SelectorSpec) -> None:
     if spec.longest_memory > LONGEST_MEMORY:
         raise RenetError(
             f"selector.longest_memory {spec.longest_memory:g} s is longer than {LONGEST_MEMORY:g} s"
+        )
+    if spec.reach > max(FAR_MAP_X):
+        raise RenetError(
+            f"selector.reach {spec.reach:g} m is farther than images show, {max(FAR_MAP_X):g} m"
         )
     delay = filter_delay(spec.gamma, spec.rate_hz)
     if delay > SLOWEST:
