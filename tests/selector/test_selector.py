@@ -118,8 +118,6 @@ def test_a_selector_without_a_filter_a_threshold_or_a_rate_is_refused(name, valu
         ({"thresholds": {name: monitor.limit for name, monitor in MONITORS.items()}}, ""),
         ({"thresholds": {"frame_age": 1.5}}, "frame_age 1.5 would never object, at most 1"),
         ({"thresholds": {"variance": math.nan}}, "variance nan would never object"),
-        ({"reach": 2.2}, "reach 2.2 m is farther than images show, 2.1 m"),
-        ({"reach": math.nan}, "reach must be positive and finite"),
         ({"thresholds": {"luck": 1.0}}, "unknown monitor 'luck': choose one of frame_age, dup"),
     ],
 )
