@@ -22,7 +22,7 @@ import torch
 import tyro
 
 from renet.errors import RenetError
-from renet.evaluation.benchmark.modes import MODES
+from renet.evaluation.benchmark.modes import ROLLOUT_MODES
 from renet.evaluation.benchmark.walking import CAMERA_NOISE, SUNK, course_env_cfg
 from renet.evaluation.env import SimEnv
 from renet.evaluation.evaluator import Evaluator
@@ -274,7 +274,9 @@ class KilometreStudy(Study):
         seed = self.seed + 100 * number
         sim = evaluator.make_env(cfg, robots, SPEED, seed, camera_noise=CAMERA_NOISE)
         env = LapEnv(sim, lap)
-        trials = [Trial(MODES[mode], (), n) for mode in self.modes for n in range(self.robots)]
+        trials = []
+        for mode in self.modes:
+            trials += [Trial(ROLLOUT_MODES[mode], (), n) for n in range(self.robots)]
         rollout = evaluator.rollout(env, trials, seed)
         rollout.injector = SectionFaults(env, lap, robots, seed)
         over: list[np.ndarray] = []
