@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from renet.evaluation.rollout import Rollout, Trial, pilot_modes
+from renet.evaluation.rollout import Rollout, Trial, pilot_modes, robot_numbers
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
 from renet.pilot import Pilot
@@ -55,18 +55,20 @@ def memory_limits(
     earliest = round(BLACKOUT_RANGE[0] / CONTROL_DT)
     latest = round(BLACKOUT_RANGE[1] / CONTROL_DT)
     dies = np.random.default_rng(seed).integers(earliest, latest, robots)
-    blackouts = [(Injection.of("blackout", 5, int(step)),) for step in dies]
-    trials = [Trial("memory", blackouts[n], n) for n in numbers.tolist()]
-    trials += [Trial("blind", (), n) for n in numbers.tolist()]
+    trials = []
+    for number, step in enumerate(dies.tolist()):
+        trials.append(Trial("memory", (Injection.of("blackout", 5, step),), number))
+    trials += [Trial("blind", (), number) for number in range(robots)]
     task = parkour_env_cfg(play=True, robot=evaluator.robot)
-    env = evaluator.make_env(task, [trial.robot for trial in trials], speed, seed)
+    env = evaluator.make_env(task, robot_numbers(trials), speed, seed)
     # All kinds of tile at a level, then those at the next one.
     kinds = numbers % len(tiles())
     level = numbers // len(tiles()) % levels
     env.place(np.tile(level, 2), np.tile(kinds, 2))
     # Memory has no limits of its own in this run; the other monitors judge as ever.
     spec = evaluator.bundle.manifest.selector
-    others = {name: limit for name, limit in spec.thresholds.items() if name != MEMORY}
+    others = dict(spec.thresholds)
+    others.pop(MEMORY, None)
     endless = replace(spec, thresholds=others, longest_memory=LONGEST_MEMORY)
     selectors = {"memory": make_selector("memory", endless, len(trials))}
     pilot = Pilot(evaluator.make_policy(len(trials)), selectors, pilot_modes(trials))

@@ -41,6 +41,7 @@ def as_trained(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
             "this bundle's task delays joint targets in training, which a study cannot draw alike"
             " for twins: leave out --conditions training"
         )
+    # Start-up events draw the bodies; the others, such as the spawn, are the study's own.
     for name, event in trained.events.items():
         if event.mode == "startup" or name == PUSH:
             cfg.events[name] = deepcopy(event)
@@ -73,6 +74,7 @@ class Disturbances:
     def taken_from(cls, cfg: RenetEnvCfg) -> Disturbances:
         """Remove the disturbances from a configuration, in place, and return them."""
         taken = cls(push=cfg.events.pop(PUSH, None))
+        # Left in place, mjlab's noise would differ between twins.
         group = cfg.observations["proprioception"]
         term = group.terms["value"]
         if group.enable_corruption and isinstance(term.noise, UniformNoiseCfg):

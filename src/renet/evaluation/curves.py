@@ -64,7 +64,9 @@ class Run:
 
 def make_curves(cfg: CurvesCfg) -> Path:
     """Draw the runs, write the table and return the folder; raises as `read_run`."""
-    runs = [read_run(argument, cfg.smooth) for argument in cfg.runs]
+    runs = []
+    for argument in cfg.runs:
+        runs.append(read_run(argument, cfg.smooth))
     names = chosen(runs, cfg.curves)
     out = output_folder(cfg.out)
     by_label: dict[str, list[Run]] = {}
@@ -77,7 +79,7 @@ def make_curves(cfg: CurvesCfg) -> Path:
     write_csv(out / "summary.csv", rows)
     write_atomically(out / "curves.png", picture(by_label, names), "figure")
     header = ("curve", "runs", "seeds", "M steps", "mean", "SD", "range")
-    show("Last values", header, [shown(row) for row in rows])
+    show("Last values", header, list(map(shown, rows)))
     return out
 
 
@@ -93,6 +95,7 @@ def read_run(argument: str, smooth: int) -> Run:
     curves = read_curves(file)
     if STEPS not in curves:
         raise RenetError(f"{file} has no curve {STEPS}: is it of `renet train`?")
+    # Curves are read at the iterations whose environment steps are known.
     iterations = sorted(curves[STEPS])
     if len(iterations) < smooth:
         raise RenetError(
@@ -109,6 +112,7 @@ def read_run(argument: str, smooth: int) -> Run:
 
 def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
     """Means of `count` values in a row, [I - count + 1] of [I], without those that are NaN."""
+    # [I - count + 1, count]
     windows = np.lib.stride_tricks.sliding_window_view(values, count)
     known = ~np.isnan(windows)
     total = np.where(known, windows, 0.0).sum(axis=-1)
@@ -135,6 +139,7 @@ def last_values(
 
     The standard deviation is that of a sample; it is None for a single run.
     """
+    # Longer runs are read where the shortest ends, or the comparison would favour them.
     end = min(run.steps[-1] for run in runs)
     if cfg.until is not None:
         end = min(end, cfg.until)
@@ -206,7 +211,9 @@ def draw_seeds(axis: Axes, runs: Sequence[Run], name: str, colour: str, label: s
     end = min(run.steps[-1] for run in mine)
     steps = np.linspace(begin, end, _POINTS)
     # [runs, points]
-    values = np.array([[_value_at(run, name, step) for step in steps] for run in mine])
+    values = np.empty((len(mine), _POINTS))
+    for row, run in enumerate(mine):
+        values[row] = [_value_at(run, name, step) for step in steps]
     count = f"{label} ({len(mine)} seeds)" if len(mine) > 1 else label
     axis.plot(steps / 1e6, values.mean(axis=0), color=colour, label=count)
     if len(mine) > 1:

@@ -15,7 +15,8 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.rollout import StudyMode, Trial
+from renet.evaluation.results import column
+from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
 from renet.evaluation.studies.one_try import EDGES
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
@@ -85,6 +86,7 @@ class DemoStudy(WalkingStudy):
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run the study; the robots walk again if the film is missing."""
+        # A part from an earlier run would leave the page without a film.
         if not (self.out / "film.mp4").exists():
             self._forget()
         return super().run(evaluator)
@@ -104,16 +106,20 @@ class DemoStudy(WalkingStudy):
 
         dead = (Injection.of(*_DEAD_CAMERA, self.onset, self.seconds),)
         each = self.robots_each
-        trials = [Trial(mode, dead, robot, _GROUND) for mode in self.modes for robot in range(each)]
-        robots = [trial.robot for trial in trials]
-        env = evaluator.make_env({_GROUND: _LEVEL}, robots, self.speed, self.seed)
+        trials = []
+        for mode in self.modes:
+            trials += [Trial(mode, dead, robot, _GROUND) for robot in range(each)]
+        numbers = robot_numbers(trials)
+        env = evaluator.make_env({_GROUND: _LEVEL}, numbers, self.speed, self.seed)
         env.place_on([_GROUND] * len(trials))
         steps = round(self.seconds / CONTROL_DT)
         rollout = evaluator.rollout(env, trials, self.seed)
         title = f"{len(trials)} robots"
         trace = rollout.run(steps, title, until_ended=self.onset, film=range(len(trials)))
         # [modes, robots]
-        crossed, fell, _ = (ends.reshape(-1, each) for ends in trace.first_try())
+        crossed, fell, _ = trace.first_try()
+        crossed = crossed.reshape(-1, each)
+        fell = fell.reshape(-1, each)
         pair = int((fell[0] & crossed[-1]).argmax())
         # The first mode beside the last; a single robot if there is one mode.
         places = dict.fromkeys((pair, (len(self.modes) - 1) * each + pair))
@@ -129,7 +135,8 @@ class DemoStudy(WalkingStudy):
 
     def pace(self, trace: Trace) -> list[int]:
         """Control steps of the film's pictures, at half speed just after the camera's death."""
-        before, after = (round(seconds / CONTROL_DT) for seconds in FILM_SPAN)
+        before = round(FILM_SPAN[0] / CONTROL_DT)
+        after = round(FILM_SPAN[1] / CONTROL_DT)
         onset = self.onset
         normal = onset + round(_SLOW_SECONDS / CONTROL_DT)
         end = min(onset + after, len(trace.fell))
@@ -163,7 +170,8 @@ class DemoStudy(WalkingStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure demo.png: number of robots that cross, a bar for each mode."""
-        counts = {run["mode"]: run["crossed"] for run in summary["runs"]}
+        runs = summary["runs"]
+        counts = dict(zip(column(runs, "mode"), column(runs, "crossed"), strict=True))
         title = f"The camera dies {_LEAD} s before a gap of {100 * self.gap:.0f} cm: who crosses"
         return {"demo.png": figures.count_bars(counts, self.robots_each, title)}
 
@@ -209,11 +217,12 @@ def demo_page(summary: Mapping[str, Any], folder: Path) -> str:
         note = (
             "<p>This bundle has no memory: where the camera fails, mode memory walks on blind.</p>"
         )
-    rows = [_page_row(run) for run in summary["runs"]]
+    rows = list(map(_page_row, summary["runs"]))
     provenance = []
     for name, value in summary["provenance"].items():
         term = escape(name.replace("_", " "))
         provenance.append(f"<dt>{term}</dt><dd>{escape(str(value))}</dd>")
+    # Everything is inline, so that the page can be sent as one file.
     template = Template(Path(__file__).with_name("demo.html").read_text())
     return template.substitute(
         sentence=escape(headline(summary)),

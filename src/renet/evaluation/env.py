@@ -109,6 +109,7 @@ def study_env_cfg(
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
+    # One speed for the whole run.
     command.fixed_speed = speed
     command.told = told
     if told == "twist":
@@ -247,6 +248,7 @@ class SimEnv:
             observation, _, terminated, truncated, _ = self.env.step(torch.from_numpy(action))
         fell = terminated.numpy()
         ended = (terminated | truncated).numpy()
+        # Distances count from the next start.
         self._start[ended] = self._position()[ended]
         return self._readings(observation, fell, ended)
 
@@ -303,6 +305,7 @@ class SimEnv:
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Set how the cameras see the scene from their next image on."""
+        # Most control steps change nothing.
         if view == self._view:
             return
         origins = tile_terrain(self.env).terrain_origins
@@ -320,6 +323,7 @@ class SimEnv:
 
     def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> StepResult:
         """Observations with noise, and true state; `fell` and `ended` are of the last step, [N]."""
+        # Twins have the same noise.
         noise = self._disturbances.draw_noise()
         if noise is not None:
             noisy = observation["proprioception"] + noise[self._number]

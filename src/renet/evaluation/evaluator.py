@@ -127,8 +127,10 @@ class Evaluator:
         Raises:
             RenetError: the task's robot is not the bundle's, or the seed is out of range.
         """
+        # NumPy's legacy generator takes no other seeds.
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
+        # Any other string is the id of a task.
         if isinstance(task, Mapping | TerrainEntityCfg) or (
             isinstance(task, str) and task in (FLAT_GROUND, PARKOUR)
         ):
@@ -140,6 +142,7 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {robot}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
+        # Depth images keep the noise of training, unless a study sets its own.
         if camera_noise is None:
             camera_noise = self.bundle.manifest.camera.noise_std
         depth_camera(cfg).noise.gaussian_std = camera_noise

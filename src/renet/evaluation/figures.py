@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from renet.evaluation.results import Provenance, grouped
+from renet.evaluation.results import Provenance, column, grouped
 from renet.faults import fault_class
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
@@ -141,11 +141,11 @@ Cells = Mapping[tuple[str, str], tuple[float, str]]
 def mean_cells(
     runs: Sequence[dict[str, Any]],
     share: Callable[[dict[str, Any]], float],
-    column: str = "severity",
+    heading: str = "severity",
 ) -> Cells:
-    """Mean shares of runs in percent, by fault and another column of the rows."""
+    """Mean shares of runs in percent, by fault and another column of the rows, the heading."""
     cells = {}
-    for (fault, name), group in grouped(runs, "fault", column).items():
+    for (fault, name), group in grouped(runs, "fault", heading).items():
         shares = np.array([100 * share(run) for run in group])
         shares = shares[~np.isnan(shares)]
         mean = shares.mean() if shares.size else np.nan
@@ -166,21 +166,25 @@ def colour_tables(
         width: width of a column, inches.
     """
     # Rows and columns of all panels, in the order in which they first occur.
-    keys = list(chain.from_iterable(panels.values()))
-    rows = list(dict.fromkeys(row for row, _ in keys))
-    columns = list(dict.fromkeys(column for _, column in keys))
+    rows: list[str] = []
+    columns: list[str] = []
+    for row, heading in chain.from_iterable(panels.values()):
+        if row not in rows:
+            rows.append(row)
+        if heading not in columns:
+            columns.append(heading)
     with plt.rc_context({"axes.grid": False, "axes.spines.left": False}):
         size = (2.2 + width * len(columns) * len(panels), 1.4 + 0.3 * len(rows))
         figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
         for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
             shade = np.full((len(rows), len(columns)), np.nan)
-            for (row, column), (value, _) in panel.items():
-                shade[rows.index(row), columns.index(column)] = value
+            for (row, heading), (value, _) in panel.items():
+                shade[rows.index(row), columns.index(heading)] = value
             # A range beyond 100 keeps the darkest cells from being black.
             axis.imshow(shade, vmin=0, vmax=130, cmap="Blues", aspect="auto")
-            for (row, column), (value, text) in panel.items():
+            for (row, heading), (value, text) in panel.items():
                 ink = "white" if value > 80 else INK
-                place = (columns.index(column), rows.index(row))
+                place = (columns.index(heading), rows.index(row))
                 axis.text(*place, text, ha="center", va="center", fontsize=8, color=ink)
             axis.set_xticks(range(len(columns)), columns, fontsize=8)
             axis.set_yticks(range(len(rows)), [row.replace("_", " ") for row in rows])
@@ -220,9 +224,9 @@ def share_panels(
         for number, ((mode,), line) in enumerate(modes.items()):
             shift = (number - (len(modes) - 1) / 2) * apart
             x = [places.index(tick(run)) + shift for run in line]
-            share = np.array([100 * run[f"{name}_rate"] for run in line])
-            low = np.array([100 * run[f"{name}_ci95_low"] for run in line])
-            high = np.array([100 * run[f"{name}_ci95_high"] for run in line])
+            share = 100 * np.array(column(line, f"{name}_rate"))
+            low = 100 * np.array(column(line, f"{name}_ci95_low"))
+            high = 100 * np.array(column(line, f"{name}_ci95_high"))
             look: Any = {"color": MODE_COLOURS[mode], "label": mode}
             look |= {"fmt": "o--" if mode == "blind" else "o-", "markersize": 4, "elinewidth": 1}
             axis.errorbar(x, share, np.abs([low - share, high - share]), **look)
@@ -294,6 +298,7 @@ def _draw_timeline(
         # A step's colour reaches until the next step.
         until_next = acts | np.insert(acts[:-1], 0, False)
         axis.fill_between(time, 0, 1, until_next, step="post", transform=height, **look)
+    # Leave room above the curve for the marks' texts.
     top = 4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta)
     axis.set(yscale="log", ylim=(None, top), xlim=(0, time[-1]))
     for instant, text in marks:

@@ -85,6 +85,7 @@ def _show_shapes(model: mujoco.MjModel) -> None:
 def _starts_windows() -> bool:
     """True if GLFW reaches the display."""
     # MuJoCo's viewer waits forever if it does not.
+    # MuJoCo's viewer opens its window with GLFW.
     try:
         import glfw
     except ImportError:
@@ -120,6 +121,7 @@ class WindowView:
         """Show robots with generalised positions [R, nq]."""
         if self.closed:
             return
+        # The last robot is the scene's own, the others are drawn into it.
         *others, own = poses
         with self._window.lock():
             self._data.qpos[:] = own
@@ -142,6 +144,7 @@ class WindowView:
         colour = np.array(rgb(STATES["blind"][0])) / 255
         for geom in scene.geoms[first : scene.ngeom]:
             geom.rgba[:] = (*colour, _GHOST_OPACITY)
+        # The scene may be full already.
         if scene.ngeom > first:
             scene.geoms[first].label = name
 

@@ -20,6 +20,7 @@ def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.n
         [N] s, a multiple of the update period; 0 where vision was not trusted before `start`, NaN
         where it stayed trusted.
     """
+    # [steps * U, N], update by update.
     blind = ~vision[start:end].reshape(-1, vision.shape[2])
     delay = (blind.argmax(axis=0) + 1) * (CONTROL_DT / vision.shape[1])
     delay = np.where(blind.any(axis=0), delay, np.nan)
@@ -30,6 +31,7 @@ def false_switches(vision: np.ndarray, failing: np.ndarray) -> int:
     """Number of times that robots left vision, [T, U, N] bool, while not `failing`, [T, N]."""
     flat = vision.reshape(-1, vision.shape[2])
     healthy = ~np.repeat(failing, vision.shape[1], axis=0)
+    # Vision was trusted at one update and not at the next.
     return int((flat[:-1] & ~flat[1:] & healthy[1:]).sum())
 
 

@@ -44,6 +44,7 @@ class MotionSensor:
         """Read the motion after the newest step; slip is 0 at the first."""
         env = self._env
         robot = self._robot
+        # Horizontal velocity and way, turned into the base's heading and the commanded one.
         velocity = rotated(base_velocity(env)[:, :2], -base_heading(env))
         turn_rate = env.sim.data.qvel[:, robot.indexing.free_joint_v_adr[5]]
         way = (base_position(env) - env.scene.env_origins)[:, :2]
@@ -61,6 +62,7 @@ class MotionSensor:
         feet = env.sim.data.site_xpos[:, self._feet, :2].clone()
         before = feet if self._feet_before is None else self._feet_before
         self._feet_before = feet
+        # A foot in the air does not slip.
         touches = env.scene[FEET_CONTACT].data.found > 0
         speed = (feet - before).norm(dim=-1) / env.step_dt
         return (speed * touches).sum(-1) / touches.sum(-1).clamp_min(1)

@@ -1,5 +1,6 @@
 """Pictures of robots without OpenGL, by MuJoCo Warp's ray tracer, on a CPU or a GPU."""
 
+from itertools import starmap
 from typing import NamedTuple
 
 import mujoco
@@ -79,7 +80,7 @@ class Painter:
         headings = Rotation.from_euler("z", turns.as_euler("ZYX")[:, :1])
         self._away = headings.apply(_CAMERA_OFFSET)
         """Vector from each robot to its camera, [R, 3] m."""
-        self._axes = np.stack([_axes(away) for away in self._away])
+        self._axes = np.stack(list(map(_axes, self._away)))
         """Axes of each camera, as columns, [R, 3, 3]."""
         # A robot without visual meshes is drawn by its collision geoms, MuJoCo's group 3.
         meshes = (model.geom_group[~self._ground] < 3).any()
@@ -96,7 +97,7 @@ class Painter:
                 use_textures=False,
                 use_shadows=True,
                 enabled_geom_groups=[0, 1, 2] if meshes else [0, 1, 2, 3],
-                cam_active=[i == self._camera for i in range(model.ncam)],
+                cam_active=(np.arange(model.ncam) == self._camera).tolist(),
             )
 
     def draw(self, poses: np.ndarray) -> list[View]:
@@ -114,7 +115,7 @@ class Painter:
         depth = context.depth_data.numpy().reshape(shape)
         geom = context.seg_data.numpy().reshape(*shape, 2)[..., 0]
         cameras = zip(light, depth, geom, eyes, self._axes, strict=True)
-        return [self._finish(*camera) for camera in cameras]
+        return list(starmap(self._finish, cameras))
 
     def _place(self, poses: np.ndarray) -> np.ndarray:
         """Put robots [R, nq] and their cameras into the renderer's data; returns eyes, [R, 3] m."""

@@ -80,6 +80,7 @@ def opened(path: Path | None) -> Iterator[Path | None]:
     if path is not None and path.is_file():
         raise RenetError(f"{path} is a file, no bundle: `renet evaluate log` draws a recording")
     folder = None if path is None else find_bundle(path)
+    # A folder without manifest is a checkpoint or a run; a missing one fails when it is loaded.
     if folder is None or (folder / MANIFEST).exists() or not folder.exists():
         yield folder
         return
@@ -98,7 +99,7 @@ def run_play(cfg: PlayCfg) -> Path:
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
     check_modes(cfg.modes)
-    faults = tuple(parse_fault(text) for text in cfg.fault)
+    faults = tuple(map(parse_fault, cfg.fault))
     trials = [Trial(mode, faults) for mode in cfg.modes]
     rows = range(len(trials))
     steps = round(cfg.seconds / CONTROL_DT)
@@ -110,7 +111,8 @@ def run_play(cfg: PlayCfg) -> Path:
         evaluator = Evaluator(folder, cfg.engine)
         task = ground_of(cfg)
         output_folder(out.parent)
-        env = evaluator.make_env(task, [0 for _ in rows], cfg.speed, cfg.seed)
+        # All robots are twins.
+        env = evaluator.make_env(task, [0] * len(rows), cfg.speed, cfg.seed)
         rollout = evaluator.rollout(env, trials, cfg.seed)
     ground = cfg.terrain if cfg.scene is None else cfg.scene.name
     with watching(cfg, env) as on_step:
@@ -149,6 +151,7 @@ def watching(cfg: PlayCfg, env: SimEnv) -> Iterator[Callable[[int], bool]]:
         pacer.wait(step)
         return view.closed
 
+    # The window closes after errors, too.
     try:
         yield on_step
     finally:

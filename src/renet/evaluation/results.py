@@ -78,7 +78,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
         return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
+        return list(map(plain, value))
+    # JSON has no NaN and no infinity.
     if isinstance(value, float):
         if math.isinf(value):
             return str(value)
@@ -130,6 +131,7 @@ def load_or_make(
     key = plain(key | {"format": PARTS_FORMAT})
     if path.exists():
         part = read_results(path)
+        # The file's name has only the beginning of the key's hash.
         if part.get("key") != key:
             raise RenetError(
                 f"{path} is of other settings than its name says: delete it and run the study again"
@@ -148,12 +150,26 @@ def grouped(rows: Sequence[_Row], *names: str) -> dict[tuple[Any, ...], list[_Ro
     return groups
 
 
+def select(rows: Sequence[_Row], **values: Any) -> list[_Row]:
+    """Rows whose columns have the given values, such as `select(runs, mode="memory")`."""
+    selection = []
+    for row in rows:
+        if all(row[name] == value for name, value in values.items()):
+            selection.append(row)
+    return selection
+
+
+def column(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
+    """Values of a column, one for each row."""
+    return [row[name] for row in rows]
+
+
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows with the keys of the first as header, atomically."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(plain(row) for row in rows)
+    writer.writerows(map(plain, rows))
     write_atomically(path, text.getvalue().encode())
 
 
@@ -171,6 +187,7 @@ def _line(cells: Sequence[object]) -> str:
 
 def _escape(value: object) -> str:
     """A value as one line of Markdown in which nothing is markup."""
+    # Names of runs and files come from users.
     line = printable(str(value))
     for character in "\\`*_[]<>|!":
         line = line.replace(character, f"\\{character}")
@@ -191,7 +208,9 @@ def write_summary(
     """
     sections = [f"# {_escape(title)}\n", *map(markdown, tables)]
     if figures:
-        sections.append("".join(f"![{name}]({name})\n\n" for name in figures).rstrip("\n") + "\n")
+        pictures = [f"![{name}]({name})\n" for name in figures]
+        sections.append("\n".join(pictures))
+    # Provenance stands last.
     facts = [(name.replace("_", " "), value) for name, value in vars(origin).items()]
     sections.append(markdown(("Provenance", ("", ""), facts)))
     write_atomically(path, "\n".join(sections).encode())

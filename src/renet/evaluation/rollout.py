@@ -108,11 +108,18 @@ def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[i
         nodes: inputs and outputs of its session, with N robots as their first dimension.
         shapes: shapes needed for one robot, by name.
     """
-    present = {node.name: list(node.shape) for node in nodes}
-    batched = all(shape and not isinstance(shape[0], int) for shape in present.values())
-    if {name: tuple(shape[1:]) for name, shape in present.items()} != shapes or not batched:
+    batched = True
+    row_shapes = {}
+    present = []
+    for node in nodes:
+        shape = list(node.shape)
+        # A number in place of a name is a fixed batch size.
+        batched &= bool(shape) and not isinstance(shape[0], int)
+        row_shapes[node.name] = tuple(shape[1:])
+        present.append(f"{node.name} {shape}")
+    if row_shapes != shapes or not batched:
         raise RenetError(
-            f"{path} has {', '.join(f'{name} {shape}' for name, shape in present.items())}; a study"
+            f"{path} has {', '.join(present)}; a study"
             " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
             " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
             " model needs in the policy's `step` (docs/measure.md, Your own policy)"
@@ -141,8 +148,7 @@ class Rollout:
         self.modes = np.array([trial.mode for trial in trials])
         """Mode of each trial, [N]."""
         schedules = [trial.schedule for trial in trials]
-        streams = [trial.robot for trial in trials]
-        self.injector = Injector(schedules, streams, seed, physical=True)
+        self.injector = Injector(schedules, robot_numbers(trials), seed, physical=True)
         self.on_update: Callable[[SelectorInput], Any] = lambda seen: None
         """Called with the input of every judgement of the pilot, before the pilot judges."""
 
@@ -174,6 +180,7 @@ class Rollout:
             on_step: called after every control step with its number, from 0; True ends the run.
         """
         trace = Trace.empty(steps, len(self.modes))
+        # Step from which on the run may end early.
         least = steps - 1 if until_ended is None else until_ended
         poses: list[np.ndarray] = []
         images: list[np.ndarray] = []
@@ -260,6 +267,7 @@ class Rollout:
 
     def _advance(self, action: np.ndarray, step: int, trace: Trace) -> None:
         """Step the environment, record the true state, and reset the pilot where episodes ended."""
+        # The images of the next step are rendered at the end of this one.
         self.env.perturb_cameras(self.injector.perturbation(step + 1))
         self._result = self.env.step(action)
         for state in fields(TrueState):
@@ -268,6 +276,11 @@ class Rollout:
         self._over |= ended
         if ended.any():
             self.pilot.reset(ended)
+
+
+def robot_numbers(trials: Sequence[Trial]) -> list[int]:
+    """Number of each trial's robot; robots with the same number are twins."""
+    return [trial.robot for trial in trials]
 
 
 def pilot_modes(trials: Sequence[Trial]) -> list[str]:

@@ -185,6 +185,7 @@ class Study:
             RenetError: the bundle cannot be used, or the folder cannot be written to.
             MissingParts: this shard is made, and others are not.
         """
+        # An evaluator cannot be sent to another process.
         if evaluator is not None and self.jobs > 1:
             raise RenetError("each of several jobs makes its evaluator: override make_evaluator")
         evaluator = evaluator or self.make_evaluator()
@@ -238,6 +239,7 @@ class Study:
             names = make.missing(group)
             if names:
                 groups.append(names)
+        # More jobs than groups would have nothing to do.
         jobs = min(self.jobs, len(groups))
         if jobs > 1:
             make_parts(self, groups, jobs)

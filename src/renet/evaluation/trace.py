@@ -112,6 +112,7 @@ class Trace(TrueState):
 
     def groups(self, each: int) -> list[Trace]:
         """Traces of the robots in their order, `each` in a group."""
+        # A last group may be smaller.
         starts = range(0, self.fell.shape[1], each)
         return [self.robots(slice(start, start + each)) for start in starts]
 

@@ -223,6 +223,7 @@ class AdaptedEvaluator(Evaluator):
 
     def provenance(self, seed: int) -> Provenance:
         """The provenance of numbers, with the name and the hash of the policy's file."""
+        # The file stands in for a bundle's models and selector.
         digest = hashlib.sha256(read_bytes(self._path, MAX_POLICY_SIZE, "policy"))
         # The same file behind another adapter is another policy.
         digest.update(self.adapter.__name__.encode() + self.adapter.__module__.encode())

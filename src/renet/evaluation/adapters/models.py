@@ -40,6 +40,7 @@ def open_model(path: Path, num_robots: int = 1) -> Model:
     """
     if not path.exists():
         raise RenetError(f"the policy {path} does not exist")
+    # A pipe or a device would block the reader.
     require_regular(path, MAX_POLICY_SIZE, "policy")
     if path.suffix == ".onnx":
         return OnnxModel(path)
@@ -82,7 +83,7 @@ class OnnxModel:
         for name, value in zip(self._inputs, inputs, strict=True):
             feed[name] = np.ascontiguousarray(value, np.float32)
         try:
-            return [np.asarray(output) for output in self._session.run(None, feed)]
+            return list(map(np.asarray, self._session.run(None, feed)))
         except Exception as error:
             raise _input_error(self.name, inputs, error) from None
 

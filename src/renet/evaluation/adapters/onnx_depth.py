@@ -34,6 +34,7 @@ class Adapter(base.OffsetAdapter):
             "joint_velocity": senses.joint_velocity,
             "last_action": self._action,
         }
+        # The order and the scales of renet's own proprioception.
         scaled = [parts[term.name] * term.scale for term in PROPRIOCEPTION]
         observation = np.concatenate(scaled, axis=1)
         self._action = self.model.run(observation, senses.depth / DEPTH_RANGE)[0]

@@ -200,6 +200,7 @@ def draw_obstacle(rng: np.random.Generator) -> Obstacle:
 
     Half of all are gaps and platforms, which cannot be crossed blind; many of the others can.
     """
+    # The halves do not depend on the number of kinds in each.
     if rng.random() < 0.5:
         draws = (draw_gap, draw_platform)
     else:

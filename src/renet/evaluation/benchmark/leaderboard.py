@@ -20,7 +20,7 @@ from renet.evaluation.benchmark.scores import (
     lead,
     score_rows,
 )
-from renet.evaluation.results import Table, markdown
+from renet.evaluation.results import Table, column, markdown
 from renet.files import write_atomically
 from renet.terminal import show
 
@@ -69,6 +69,7 @@ class Entry:
     @property
     def interval(self) -> tuple[float, float, str]:
         """Low and high end of the score's 95 % interval, and the samples it is taken over."""
+        # The interval of a method is over its trainings, if there are enough of them.
         if len(self.trainings) >= LEAST_TRAININGS:
             means = [score_rows(rows)["score"] for rows in self.trainings]
             return (*interval_over_trainings(means), f"{len(means)} trainings")
@@ -80,7 +81,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     """Print the tables, write them and return their path; raises as `read_result` and `ranking`."""
     if not cfg.files:
         raise RenetError("give result files: `renet evaluate benchmark` writes result.json")
-    results = [read_result(path) for path in cfg.files]
+    results = list(map(read_result, cfg.files))
     tables = [ranking(results), measures(results)]
     for result in results:
         tables.append(family_table(result))
@@ -92,6 +93,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
 
 def entries_of(results: Sequence[Result]) -> list[Entry]:
     """Entries of result files in the files' order, the trainings of one method joined."""
+    # Rows of each training by method, entry and robot.
     trainings: dict[tuple[str, str, str], list[Sequence[Mapping[str, Any]]]] = {}
     for result in results:
         policy = result["policy"]
@@ -106,7 +108,7 @@ def entries_of(results: Sequence[Result]) -> list[Entry]:
 
 def ranked(results: Sequence[Result]) -> list[Entry]:
     """Entries of result files, best first; raises RenetError if their episodes differ."""
-    if len({result["episodes"] for result in results}) > 1:
+    if len(set(column(results, "episodes"))) > 1:
         raise RenetError("give results of the same episodes: all quick, all full, or all sealed")
     return sorted(entries_of(results), key=lambda entry: -entry.scores["score"])
 
@@ -118,7 +120,9 @@ def ranking(results: Sequence[Result]) -> Table:
     interval over paired episodes. Raises as `ranked`.
     """
     reference = entries_of(results)[0]
-    rows = [_line(place, entry, reference) for place, entry in enumerate(ranked(results), start=1)]
+    rows = []
+    for place, entry in enumerate(ranked(results), start=1):
+        rows.append(_line(place, entry, reference))
     title = (
         f"renet-faults, version {BENCHMARK_VERSION}, {results[0]['episodes']} episodes;"
         f" it: {reference.method}, {reference.name}"
@@ -129,10 +133,11 @@ def ranking(results: Sequence[Result]) -> Table:
 def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
     """Row of the ranking for an entry at a place, compared with a reference."""
     low, high, over = entry.interval
+    # The reference has no difference to itself.
     difference = "-"
     if entry != reference:
-        pairs = lead(_mean_rows(reference), _mean_rows(entry))
-        difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*(100 * value for value in pairs))
+        points = 100 * np.array(lead(_mean_rows(reference), _mean_rows(entry)))
+        difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*points)
     return (
         str(place),
         entry.method,
@@ -162,7 +167,7 @@ def _mean_rows(entry: Entry) -> list[dict[str, Any]]:
     """One row for each episode, with the obstacles crossed averaged over the trainings."""
     means = []
     for rows in zip(*entry.trainings, strict=True):
-        crossed = np.mean([row["crossed"] for row in rows])
+        crossed = np.mean(column(rows, "crossed"))
         means.append({"obstacles": rows[0]["obstacles"], "crossed": crossed})
     return means
 

@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from renet.errors import RenetError, printable
 from renet.evaluation.benchmark.episodes import EPISODES, QUICK_EPISODES, SEALED_EPISODES, SEED
 from renet.evaluation.benchmark.scores import EpisodeRow
-from renet.evaluation.results import read_results
+from renet.evaluation.results import column, read_results, select
 
 BENCHMARK = "renet-faults"
 """Name of the benchmark."""
@@ -79,7 +79,7 @@ def read_result(path: Path) -> dict[str, Any]:
         raise RenetError(printable(f"{path}, {error.json_path}: {message} (docs/benchmark.md)"))
     # Scores compare entries by the same episodes, so none may be missing.
     for entry in content["scores"]:
-        numbers = [row["episode"] for row in rows_of_entry(content, entry)]
+        numbers = column(rows_of_entry(content, entry), "episode")
         if numbers != list(SETS[content["episodes"]]):
             raise RenetError(
                 printable(f"{path}: {entry} lacks episodes, or has them in another order")
@@ -89,7 +89,7 @@ def read_result(path: Path) -> dict[str, Any]:
 
 def rows_of_entry(result: Mapping[str, Any], entry: str) -> Sequence[EpisodeRow]:
     """Rows of one entry of a result file."""
-    return [row for row in result["rows"] if row["entry"] == entry]
+    return select(result["rows"], entry=entry)
 
 
 def demand_version_seed(seed: int) -> None:

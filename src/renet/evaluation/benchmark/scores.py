@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.results import grouped
+from renet.evaluation.results import column, grouped
 
 if TYPE_CHECKING:
     from renet.evaluation.benchmark.episodes import Episode
@@ -49,7 +49,7 @@ def rows_of(walks: Mapping[str, Walk], episodes: Sequence[Episode]) -> list[Epis
 
 def crossed_shares(rows: Sequence[EpisodeRow]) -> np.ndarray:
     """Share of each row's obstacles that was crossed, [rows]."""
-    return np.array([row["crossed"] / row["obstacles"] for row in rows])
+    return np.array(column(rows, "crossed")) / np.array(column(rows, "obstacles"))
 
 
 def score_rows(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
@@ -64,13 +64,13 @@ def score_rows(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
     """
     crossed = crossed_shares(rows)
     low, high = bootstrap_interval(crossed)
-    lie = np.array([row["lie"] for row in rows], bool)
-    stranger = np.array([row["stranger"] for row in rows], bool)
+    lie = np.array(column(rows, "lie"), bool)
+    stranger = np.array(column(rows, "stranger"), bool)
+    # A robot that stands still would have an infinite energy per metre.
     walked = [row for row in rows if row["metres"] >= _SHORTEST_WALK]
     energy_per_metre = None
     if walked:
-        joules = sum(row["joules"] for row in walked)
-        energy_per_metre = joules / sum(row["metres"] for row in walked)
+        energy_per_metre = sum(column(walked, "joules")) / sum(column(walked, "metres"))
     return {
         "episodes": len(rows),
         "score": crossed.mean(),
@@ -79,10 +79,10 @@ def score_rows(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
         "loud": _mean(crossed[~lie]),
         "lies": _mean(crossed[lie]),
         "stranger": _mean(crossed[stranger]),
-        "falls": _mean([row["fell"] for row in rows]),
+        "falls": _mean(column(rows, "fell")),
         "energy_per_metre": energy_per_metre,
-        "peak_torque": _mean([row["peak_torque"] for row in rows]),
-        "speed_error": _mean([row["speed_error"] for row in rows]),
+        "peak_torque": _mean(column(rows, "peak_torque")),
+        "speed_error": _mean(column(rows, "speed_error")),
     }
 
 
@@ -110,12 +110,14 @@ def lead(rows: Sequence[EpisodeRow], others: Sequence[EpisodeRow]) -> tuple[floa
     Returns:
         Mean, and low and high end of the 95 % interval, over paired episodes.
     """
+    # Pairing removes the differences between episodes from the interval.
     gain = crossed_shares(rows) - crossed_shares(others)
     return (float(gain.mean()), *bootstrap_interval(gain))
 
 
 def interval_over_trainings(means: Sequence[float]) -> tuple[float, float]:
     """Student's 95 % interval of the mean score of several trainings."""
+    # Few trainings: the normal distribution's interval would be too narrow.
     values = np.array(means)
     half = scipy.stats.t.ppf(0.975, len(values) - 1) * scipy.stats.sem(values)
     return float(values.mean() - half), float(values.mean() + half)

@@ -76,6 +76,7 @@ def verify(study: Verifiable, path: Path) -> str:
     evaluator = study.make_evaluator()
     sha256 = evaluator.provenance(study.seed).bundle_hash
     _check_origin(result, path, sha256, study.sealed is not None)
+    # Only entries that both the result and this policy have can be compared.
     first = chosen_block(result)
     walked_entries = study.modes(evaluator)
     entries = [entry for entry in walked_entries if entry in result["scores"]]

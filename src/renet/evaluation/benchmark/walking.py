@@ -134,11 +134,11 @@ class CourseEnv:
         self._courses = [episode.course for episode in episodes]
         self._last_edges = [course.edges[:, 1] + _CLEARANCE for course in self._courses]
         """Positions at which each course's obstacles are crossed, m."""
-        self._headings = np.array([episode.headings for episode in episodes])
-        self._speed = np.array([episode.speed for episode in episodes])
-        self._turn_at = np.array([episode.turn_at for episode in episodes])
-        self._stop_at = np.array([episode.stop_at for episode in episodes])
-        self._limit = np.array([episode.seconds for episode in episodes])
+        self._headings = _values(episodes, "headings")
+        self._speed = _values(episodes, "speed")
+        self._turn_at = _values(episodes, "turn_at")
+        self._stop_at = _values(episodes, "stop_at")
+        self._limit = _values(episodes, "seconds")
         env.place_on([episode.name for episode in episodes])
         self.position = np.zeros(self.num_robots)
         """Position along the course, [N] m."""
@@ -150,7 +150,7 @@ class CourseEnv:
         count = self.num_robots
         result = self._inner.reset()
         self._over = np.zeros(count, bool)
-        self._standing = np.array([episode.stop_seconds for episode in self._episodes])
+        self._standing = _values(self._episodes, "stop_seconds")
         """Time for which robots still have to stand, [N] s."""
         self._error_sum = np.zeros(count)
         """Integral of the absolute error of speed, [N] m."""
@@ -237,6 +237,11 @@ class CourseEnv:
         command = goal(self._inner.env)
         command.speed[:] = torch.from_numpy(speed)
         command.yaw[:] = torch.from_numpy(heading)
+
+
+def _values(episodes: Sequence[Episode], name: str) -> np.ndarray:
+    """A property of each episode, [N] or [N, 2]."""
+    return np.array([getattr(episode, name) for episode in episodes])
 
 
 class PlacedFaults:
@@ -349,7 +354,7 @@ def walk_episodes(
     parts: dict[str, list[Walk]] = {entry: [] for entry in modes}
     order: list[int] = []
     for is_stranger, robot in robots.items():
-        places = [i for i, episode in enumerate(episodes) if episode.stranger == is_stranger]
+        places = np.flatnonzero(_values(episodes, "stranger") == is_stranger).tolist()
         if not places:
             continue
         group = [episodes[place] for place in places]

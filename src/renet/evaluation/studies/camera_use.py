@@ -19,7 +19,7 @@ from scipy.stats import binomtest, fisher_exact
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
+from renet.evaluation.results import column, grouped, select
 from renet.evaluation.rollout import FLAT_GROUND, EvalEnv, StudyMode, Trial
 from renet.evaluation.studies.one_try import LevelStudy
 from renet.evaluation.study import Figures, Part, Table
@@ -59,6 +59,7 @@ class ShownImages:
         self._env = env
         self._views = np.array(views)
         row = np.arange(len(views))
+        # First row of the ground, where the healthy group is.
         healthy = row - row % (each * len(VIEWS))
         self._other = healthy + (row + 1) % each
         """The healthy row of the next robot on the same ground, [N]."""
@@ -133,6 +134,7 @@ class CameraUseStudy(LevelStudy):
         healthy = groups["healthy"]
         part: Part = {}
         for view, group in groups.items():
+            # Compare twins as long as both are in their first try.
             apart = np.abs(group.travelled - healthy.travelled) * ~(healthy.over | group.over)
             crossed, *_ = group.first_try()
             part[view] = {"crossed": crossed, "parted": apart.max(axis=0) > _PARTED}
@@ -149,9 +151,9 @@ class CameraUseStudy(LevelStudy):
         # The robots of all grounds together.
         whole = {}
         for view in VIEWS:
-            rows = [part[view] for part in grounds.values()]
-            crossed = np.concatenate([row["crossed"] for row in rows])
-            parted = np.concatenate([row["parted"] for row in rows])
+            rows = column(list(grounds.values()), view)
+            crossed = np.concatenate(column(rows, "crossed"))
+            parted = np.concatenate(column(rows, "parted"))
             whole[view] = {"crossed": crossed, "parted": parted}
         total = {view: compare_with_twins(whole, view) for view in VIEWS}
         return {"runs": runs, "total": total, "sentence": sentence(total, runs)}
@@ -254,9 +256,9 @@ def _views_that_part(
 
 def _grounds_beyond_chance(runs: Sequence[Mapping[str, Any]], view: str, num_views: int) -> str:
     """Grounds on which a view alone changes crossings significantly, as words."""
-    limit = _SIGNIFICANCE / (num_views * len({run["ground"] for run in runs}))
+    limit = _SIGNIFICANCE / (num_views * len(set(column(runs, "ground"))))
     grounds = []
-    for run in runs:
-        if run["view"] == view and run["p"] < limit:
+    for run in select(runs, view=view):
+        if run["p"] < limit:
             grounds.append(run["ground"].partition(":")[0].replace("_", " "))
     return f"On {', '.join(grounds)} alone" if grounds else "On no ground alone"

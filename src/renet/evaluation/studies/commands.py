@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures
-from renet.evaluation.rollout import FLAT_GROUND, StudyMode, Trial
+from renet.evaluation.results import column, select
+from renet.evaluation.rollout import FLAT_GROUND, StudyMode, Trial, robot_numbers
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 
@@ -48,6 +49,8 @@ _DRIFT_DISTANCE = 5.0
 """Distance for which drift is given, m."""
 _SHORTEST_WALK = 0.5
 """Distance below which drift is not computed, m."""
+_MEASURES = ("done", "speed_error", "yaw_rate_error", "drift_m", "slip", "power", "peak_torque")
+"""Names of the measures of a group of robots."""
 
 
 @dataclass(frozen=True)
@@ -85,10 +88,9 @@ class CommandStudy(WalkingStudy):
         trials = []
         for mode, _ in self.groups:
             trials += [Trial(mode, robot=robot) for robot in range(each)]
-        env = evaluator.make_env(
-            FLAT_GROUND, [trial.robot for trial in trials], self.speed, self.seed
-        )
-        commands = np.repeat([command for _, command in self.groups], each, axis=0)
+        env = evaluator.make_env(FLAT_GROUND, robot_numbers(trials), self.speed, self.seed)
+        # Every mode follows all commands, see `groups`.
+        commands = np.repeat(TWISTS * len(self.modes), each, axis=0)
         sensor = MotionSensor(env)
         motions: list[Motion] = []
 
@@ -149,22 +151,25 @@ def summary_of(motions: list[Motion], robots: np.ndarray, command: np.ndarray) -
         robots: rows of the robots that count.
         command: the twist, [3].
     """
-    names = ("done", "speed_error", "yaw_rate_error", "drift_m", "slip", "power", "peak_torque")
     if not len(robots):
-        return dict.fromkeys(names)
-    twist = np.stack([motion.twist[robots] for motion in motions])
-    done = twist.mean(axis=0)
+        return dict.fromkeys(_MEASURES)
+    # Errors are of each robot's mean twist, [N, 3]: a gait sways around it.
+    done = _over_time(motions, "twist", robots).mean(axis=0)
     error = np.abs(done - command)
-    values = {
+    return {
         "done": done.mean(axis=0),
         "speed_error": np.linalg.norm((done - command)[:, :2], axis=1).mean(),
         "yaw_rate_error": error[:, 2].mean(),
-        "drift_m": drift(np.stack([motion.position[robots] for motion in motions]), command),
-        "slip": np.mean([motion.slip[robots] for motion in motions]),
-        "power": np.mean([motion.power[robots] for motion in motions]),
-        "peak_torque": np.max([motion.torque[robots] for motion in motions]),
+        "drift_m": drift(_over_time(motions, "position", robots), command),
+        "slip": _over_time(motions, "slip", robots).mean(),
+        "power": _over_time(motions, "power", robots).mean(),
+        "peak_torque": _over_time(motions, "torque", robots).max(),
     }
-    return {name: values[name] for name in names}
+
+
+def _over_time(motions: list[Motion], name: str, robots: np.ndarray) -> np.ndarray:
+    """A quantity of some robots at all control steps, [T, n, ...]."""
+    return np.stack([getattr(motion, name)[robots] for motion in motions])
 
 
 def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
@@ -194,11 +199,11 @@ def asked_and_done(runs: list[dict[str, Any]], modes: tuple[str, ...]) -> Figure
     """Figure of the velocities and turn rates asked for, as rings, and done, as dots."""
     figure, (plane, turns) = plt.subplots(1, 2, figsize=(9, 4.2))
     for mode in modes:
-        mine = [run for run in runs if run["mode"] == mode and run["done"] is not None]
+        mine = [run for run in select(runs, mode=mode) if run["done"] is not None]
         if not mine:
             continue
-        asked = np.array([run["command"] for run in mine])
-        done = np.array([run["done"] for run in mine])
+        asked = np.array(column(mine, "command"))
+        done = np.array(column(mine, "done"))
         look = {"color": figures.MODE_COLOURS[mode], "zorder": 3}
         plane.plot(done[:, 1], done[:, 0], "o", label=mode, **look)
         turns.plot(asked[:, 2], done[:, 2], "o", **look)

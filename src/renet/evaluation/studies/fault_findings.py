@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from renet.evaluation.figures import setting_label
-from renet.evaluation.results import grouped
+from renet.evaluation.results import column, grouped, select
 from renet.evaluation.studies.fault_settings import Setting
 from renet.terrain.tiles import DIFFICULT
 
@@ -28,7 +28,7 @@ BLIND = {"frozen": ("frozen",), "uniform": ("blackout", "saturated", "occlusion"
 
 def setting_of(run: dict[str, Any]) -> Setting:
     """Setting of a row."""
-    return Setting(*(run[name] for name in Setting._fields))
+    return Setting(run["ground"], run["onset"], run["fault"], run["severity"])
 
 
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
@@ -45,6 +45,7 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
     misses = missed(runs, baseline)
     simple = [row for row in harm if row["ground"] not in DIFFICULT]
     severe = [miss for miss in misses if miss["severity"] >= _SEVERE]
+    # The first claim is on simple ground only.
     claims = [
         _chance_claim(
             "on simple ground no fault makes memory fall more often than blind, beyond chance",
@@ -68,11 +69,11 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
 
     Significance is that of a fault on a ground, over all its severities and onsets.
     """
-    survival = {setting_of(run): run["survival"] for run in runs if run["mode"] == "blind"}
+    survival = {setting_of(run): run["survival"] for run in select(runs, mode="blind")}
     worse = _beyond_chance(runs, baseline, "memory", "blind")
     rows = []
-    for run in runs:
-        if run["mode"] != "memory" or run["over_op"] is None or run["over_op"] >= -_SURVIVAL_MARGIN:
+    for run in select(runs, mode="memory"):
+        if run["over_op"] is None or run["over_op"] >= -_SURVIVAL_MARGIN:
             continue
         setting = setting_of(run)
         row = {
@@ -92,12 +93,12 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, 
     it has no severe ones.
     """
     severe = [run for run in runs if run["severity"] >= _SEVERE]
-    mild = {run["fault"] for run in runs} - {run["fault"] for run in severe}
+    mild = set(column(runs, "fault")) - set(column(severe, "fault"))
     judged = severe + [run for run in runs if run["fault"] in mild]
     worse = _beyond_chance(judged, baseline, "camera", "camera")
     rows = {}
-    for run in runs:
-        if run["mode"] == "camera" and run["falls_by_fault"] > run["falls_spared"]:
+    for run in select(runs, mode="camera"):
+        if run["falls_by_fault"] > run["falls_spared"]:
             beyond_chance = (run["ground"], run["fault"]) in worse
             rows[setting_of(run)] = run | {"beyond_chance": beyond_chance}
     return rows
@@ -107,8 +108,8 @@ def missed(runs: Runs, baseline: Runs) -> Runs:
     """Settings that make mode camera fall and that not every robot in mode memory notices."""
     camera_rows = settings_vp_falls_in(runs, baseline)
     rows = []
-    for run in runs:
-        if run["mode"] != "memory" or run["detected"] >= run["vision_active_at_onset"]:
+    for run in select(runs, mode="memory"):
+        if run["detected"] >= run["vision_active_at_onset"]:
             continue
         setting = setting_of(run)
         camera = camera_rows.get(setting)
@@ -133,14 +134,15 @@ def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set
         mode: mode under faults.
         reference: mode without faults.
     """
-    usual = {run["ground"]: run for run in baseline if run["mode"] == reference}
-    groups = grouped([run for run in runs if run["mode"] == mode], "ground", "fault")
+    usual = grouped(select(baseline, mode=reference), "ground")
+    groups = grouped(select(runs, mode=mode), "ground", "fault")
     worse = set()
     for place, rows in groups.items():
-        ground = place[0]
+        ground = place[:1]
         if ground not in usual:
             continue
-        table = [_fall_counts(rows), _fall_counts([usual[ground]])]
+        # Fallen and upright robots with the fault, and without.
+        table = [_fall_counts(rows), _fall_counts(usual[ground])]
         if scipy.stats.fisher_exact(table, "greater").pvalue < _SIGNIFICANCE:
             worse.add(place)
     return worse
@@ -148,14 +150,14 @@ def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set
 
 def _fall_counts(rows: Runs) -> tuple[int, int]:
     """Number of robots that fell, and that did not."""
-    falls = sum(row["falls"] for row in rows)
-    return falls, sum(row["robots"] for row in rows) - falls
+    falls = sum(column(rows, "falls"))
+    return falls, sum(column(rows, "robots")) - falls
 
 
 def _chance_claim(claim: str, settings: Runs, what: str) -> dict[str, Any]:
     """Claim that chance explains all settings; it names those beyond chance and the others."""
-    clear = [setting_label(setting) for setting in settings if setting["beyond_chance"]]
-    unclear = [setting_label(setting) for setting in settings if not setting["beyond_chance"]]
+    clear = list(map(setting_label, select(settings, beyond_chance=True)))
+    unclear = list(map(setting_label, select(settings, beyond_chance=False)))
     beyond = ": " + ", ".join(clear) if clear else ""
     within = f" ({', '.join(unclear)} within chance)" if unclear else ""
     measured = f"{len(clear)} {what}{beyond}{within}"
@@ -180,15 +182,15 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
     """Claim on the median delay of severe faults that make mode camera fall; none without any."""
     camera_rows = settings_vp_falls_in(runs, baseline)
     harmful_runs = []
-    for run in runs:
-        if run["mode"] != "memory" or run["detection_delay_s"] is None or run["severity"] < _SEVERE:
+    for run in select(runs, mode="memory"):
+        if run["detection_delay_s"] is None or run["severity"] < _SEVERE:
             continue
         camera = camera_rows.get(setting_of(run))
         if camera is not None and camera["beyond_chance"]:
             harmful_runs.append(run)
     if not harmful_runs:
         return []
-    delay = float(np.median([run["detection_delay_s"] for run in harmful_runs]))
+    delay = float(np.median(column(harmful_runs, "detection_delay_s")))
     worst = max(harmful_runs, key=lambda run: run["detection_delay_p95_s"])
     claim = (
         f"median detection within 0.2 s of faults of severity >= {_SEVERE} that make camera fall"
@@ -202,13 +204,14 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
 
 def _blind_claims(runs: Runs) -> Runs:
     """Claims that monitors notice frozen and uniform images, beside the rule of mode switch."""
-    worst = [run for run in runs if run["mode"] == "memory" and run["severity"] == 5]
+    # Severity 5 repeats one image, or leaves one value in it.
+    worst = select(runs, mode="memory", severity=5)
     claims = []
     for what, faults in BLIND.items():
         rows = [run for run in worst if run["fault"] in faults]
-        robots = sum(row["vision_active_at_onset"] for row in rows)
-        detected = sum(row["detected"] for row in rows)
-        paper = sum(row["detected_by_paper"] for row in rows)
+        robots = sum(column(rows, "vision_active_at_onset"))
+        detected = sum(column(rows, "detected"))
+        paper = sum(column(rows, "detected_by_paper"))
         if robots:
             measured = f"{detected} of {robots} robots; by the rule of mode switch {paper}"
             claim = f"{what} images are noticed"

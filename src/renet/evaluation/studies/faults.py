@@ -21,8 +21,8 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay_selector
-from renet.evaluation.results import grouped
-from renet.evaluation.rollout import FLAT_GROUND, Trial, check_grounds
+from renet.evaluation.results import grouped, select
+from renet.evaluation.rollout import FLAT_GROUND, Trial, check_grounds, robot_numbers
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.studies.fault_settings import FAULT_GROUNDS, LISTED, ONSETS, Setting
@@ -150,7 +150,7 @@ class FaultStudy(WalkingStudy):
 
     def groups(self, settings: Sequence[Setting]) -> list[tuple[Setting, str]]:
         """Setting and mode of each group of robots in a batch."""
-        return [(setting, mode) for setting in settings for mode in self.vision_modes]
+        return list(product(settings, self.vision_modes))
 
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
         """Trials of every robot of a batch, group by group."""
@@ -218,15 +218,16 @@ class FaultStudy(WalkingStudy):
         trials = {name: self.trials(self.batches[name]) for name in names}
         everybody = list(chain(*trials.values()))
         title = f"{list(self.batches).index(names[-1]) + 1}/{len(self.batches)} {names[-1]}"
-        env = make(tuple(trial.robot for trial in everybody))
+        env = make(tuple(robot_numbers(everybody)))
         trace = self.walk(evaluator, env, title, everybody)
         # What mode switch would have answered to the same images.
         paper = replay_selector(evaluator.make_selector("switch", len(everybody)), trace.anomaly)
-        ends = np.cumsum([len(group) for group in trials.values()]).tolist()
         parts = {}
-        for name, start, end in zip(names, [0, *ends], ends, strict=False):
-            rows = slice(start, end)
+        start = 0
+        for name, group in trials.items():
+            rows = slice(start, start + len(group))
             parts[name] = self._fault_part(name, trace.robots(rows), paper[..., rows])
+            start += len(group)
         return parts
 
     def _fault_part(self, name: str, trace: Trace, paper: np.ndarray) -> Part:
@@ -262,7 +263,7 @@ class FaultStudy(WalkingStudy):
         """Walk the twins of all faults' robots, with cameras that never fail."""
         each = self.robots_each
         trials = self.trials_on(self.grounds)
-        env = make(tuple(trial.robot for trial in trials))
+        env = make(tuple(robot_numbers(trials)))
         trace = self.walk(evaluator, env, "no fault", trials)
         runs = []
         until = round((max(self.onsets) + self.lasts) / CONTROL_DT)
@@ -379,7 +380,7 @@ class FaultStudy(WalkingStudy):
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figures crossed.png, survival.png and detection.png."""
         runs = summary["runs"]
-        modes = {mode: [run for run in runs if run["mode"] == mode] for mode in self.modes}
+        modes = {mode: select(runs, mode=mode) for mode in self.modes}
         obeying = modes.get("memory") or runs
         detection = {
             "monitors of mode memory": _noticed_cells(obeying, "detected"),
@@ -409,22 +410,20 @@ class FaultStudy(WalkingStudy):
         for place, runs in grouped(summary["runs"], "ground", "fault").items():
             row = list(place)
             for mode in self.modes:
-                shares = [_crossed(run) for run in runs if run["mode"] == mode]
+                shares = list(map(_crossed, select(runs, mode=mode)))
                 row.append(f"{100 * np.mean(shares):.0f}")
             crossed.append(tuple(row))
         claims: list[tuple[Any, ...]] = []
         for claim in summary["claims"]:
             claims.append(("yes" if claim["met"] else "NO", claim["claim"], claim["measured"]))
         harmful: list[tuple[Any, ...]] = []
-        for row in summary["harmful"]:
-            if row["beyond_chance"]:
-                shares = (f"{100 * row['memory']:.0f}", f"{100 * row['blind']:.0f}")
-                harmful.append((figures.setting_label(row), *shares))
+        for finding in select(summary["harmful"], beyond_chance=True):
+            shares = (f"{100 * finding['memory']:.0f}", f"{100 * finding['blind']:.0f}")
+            harmful.append((figures.setting_label(finding), *shares))
         missed: list[tuple[Any, ...]] = []
-        for row in summary["missed"]:
-            if row["beyond_chance"]:
-                counts = (row["undetected"], row["vp_falls"], row["vp_spared"])
-                missed.append((figures.setting_label(row), *counts))
+        for finding in select(summary["missed"], beyond_chance=True):
+            counts = (finding["undetected"], finding["vp_falls"], finding["vp_spared"])
+            missed.append((figures.setting_label(finding), *counts))
         tables: list[Table] = [
             ("Robots that cross (%)", ("ground", "fault", *self.modes), crossed),
             ("What is claimed, and what was measured", ("met", "claim", "measured"), claims),
@@ -471,17 +470,21 @@ def _noticed_cells(runs: list[dict[str, Any]], name: str) -> figures.Cells:
 
 
 def _mode_panels(
-    modes: Mapping[str, list[dict[str, Any]]], share: Callable[[Any], float], column: str
-) -> dict[str, figures.Cells]:
+    modes: Mapping[str, list[dict[str, Any]]], share: Callable[[Any], float], heading: str
+) -> Mapping[str, figures.Cells]:
     """Cells of a share for each mode, with mode blind as a row of the others' tables.
 
     Args:
         modes: rows of a summary by mode.
         share: share of a row.
-        column: column of the rows that is that of the cells.
+        heading: column of the rows whose values are the cells' headings.
     """
-    tables = {mode: dict(figures.mean_cells(runs, share, column)) for mode, runs in modes.items()}
+    tables = {}
+    for mode, runs in modes.items():
+        tables[mode] = dict(figures.mean_cells(runs, share, heading))
     # Mode blind sees no fault: it needs one row only, at the foot of the others' tables.
     blind = tables.pop("blind", {}) if len(tables) > 1 else {}
-    row = {("blind, any fault", name): cell for (_, name), cell in blind.items()}
-    return {mode: table | row for mode, table in tables.items()}
+    for table in tables.values():
+        for (_, name), cell in blind.items():
+            table["blind, any fault", name] = cell
+    return tables

@@ -20,8 +20,8 @@ import scipy
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
-from renet.evaluation.rollout import StudyMode, check_grounds
+from renet.evaluation.results import column, grouped
+from renet.evaluation.rollout import StudyMode, check_grounds, robot_numbers
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION, Terrain
 
@@ -138,8 +138,7 @@ class MarginsStudy(WalkingStudy):
     quick_robots: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
-        unknown = [axis for axis in self.axes if axis not in MARGIN_AXES]
-        if unknown or not self.axes:
+        if not self.axes or not {*self.axes} <= MARGIN_AXES.keys():
             raise RenetError(f"axes {self.axes}: choose among {', '.join(MARGIN_AXES)}")
         super().__post_init__()
         check_grounds(dict.fromkeys(self.grounds, self.level))
@@ -167,7 +166,8 @@ class MarginsStudy(WalkingStudy):
         for level in self.levels(axis):
             walked = self._walk(evaluator, axis, level)
             runs += walked
-            if all(run["failed"] > ALLOWED_LOSS for run in walked):
+            # Higher levels are worse.
+            if min(column(walked, "failed")) > ALLOWED_LOSS:
                 break
         return {"runs": runs}
 
@@ -177,7 +177,7 @@ class MarginsStudy(WalkingStudy):
         if level is not None:
             change(cfg, axis, level)
         trials = self.trials_on(self.grounds)
-        env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
+        env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         env.place_on([trial.ground for trial in trials])
         title = axis if level is None else f"{axis} {level:g} {MARGIN_AXES[axis].unit}"
         steps = round(self.seconds / CONTROL_DT)
@@ -252,6 +252,7 @@ def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> 
     failed = {run["level"]: run["failed"] for run in runs if run["axis"] in (axis, "nominal")}
     # None stands for the nominal robots.
     held = list(takewhile(lambda level: failed[level] <= ALLOWED_LOSS, (None, *levels)))
+    # Number of levels within the margin, the nominal robots not counted.
     within = max(len(held) - 1, 0)
     return {
         "margin": held[-1] if held else None,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,7 +16,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
+from renet.evaluation.results import column, grouped
 from renet.evaluation.rollout import StudyMode, Trial
 from renet.evaluation.studies.one_try import NEAREST, LevelStudy
 from renet.evaluation.studies.terrain import SIZE_LABELS
@@ -78,7 +79,7 @@ class MemoryStudy(LevelStudy):
         for mode in self.modes:
             settings.append((0.0, mode))
             if mode != "blind":
-                settings += [(seconds, mode) for seconds in self.without]
+                settings += product(self.without, (mode,))
         return settings
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
@@ -144,7 +145,8 @@ class MemoryStudy(LevelStudy):
         rows = []
         for (kind, level), runs in grouped(summary["runs"], "ground", "level").items():
             crossed = {(run["mode"], run["without_s"]): run["crossed"] for run in runs}
-            for seconds in sorted({run["without_s"] for run in runs}):
+            for seconds in sorted(set(column(runs, "without_s"))):
+                # Mode blind was walked once, without missing images.
                 counts = (crossed.get((mode, seconds), crossed[mode, 0.0]) for mode in self.modes)
                 rows.append((f"{kind}:{level}", f"{seconds:g}", *counts))
         header = ("ground", "seconds", *self.modes)

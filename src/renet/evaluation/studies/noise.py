@@ -23,8 +23,12 @@ class NoiseStudy(FaultStudy):
     out: Path = Path("results/noise")
     """Folder for summary.md, summary.json, summary.csv, noise.png, timeline.png and parts/."""
     faults: tuple[str, ...] = (
-        *(f"gaussian:{severity}" for severity in (2, 4, 5)),
-        *(f"salt_and_pepper:{severity}" for severity in (2, 3, 5)),
+        "gaussian:2",
+        "gaussian:4",
+        "gaussian:5",
+        "salt_and_pepper:2",
+        "salt_and_pepper:3",
+        "salt_and_pepper:5",
     )
     """Noises, NAME:SEVERITY; the paper's are 30, 70, 100 % and 10, 30, 70 %."""
     modes: tuple[StudyMode, ...] = ("camera", "memory")
@@ -70,13 +74,13 @@ class NoiseStudy(FaultStudy):
         batches = {("none", 0.0): parts["no_fault"]}
         for name, (setting,) in self.batches.items():
             batches[setting.fault, setting.level] = parts[name]
-        curves = {}
+        curves: dict[str, dict[tuple[str, float], np.ndarray]] = {}
         for mode in self.modes:
             # Mode blind is in no noise's part: it walks alike under all.
             blind = parts["no_fault"]["speed"][mode]
-            curves[mode] = {
-                noise: np.array(part["speed"].get(mode, blind)) for noise, part in batches.items()
-            }
+            curves[mode] = {}
+            for noise, part in batches.items():
+                curves[mode][noise] = np.array(part["speed"].get(mode, blind))
         # The timeline is that of the strongest Gaussian noise, if there is one.
         gaussian = [noise for noise in batches if noise[0] == "gaussian"]
         strongest = max(gaussian or list(batches)[1:], key=lambda noise: noise[1])

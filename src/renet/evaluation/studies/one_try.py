@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from renet.errors import RenetError
-from renet.evaluation.rollout import EvalEnv, Trial
+from renet.evaluation.rollout import EvalEnv, Trial, robot_numbers
 from renet.evaluation.study import Part, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.interface import CONTROL_DT
@@ -59,7 +59,8 @@ class OneTryStudy(WalkingStudy):
             retire: True to stop simulating robots whose first try is over.
             view: wraps the environment, to show robots other images.
         """
-        env = evaluator.make_env(task, [trial.robot for trial in trials], self.speed, self.seed)
+        # Robots with the same number are twins.
+        env = evaluator.make_env(task, robot_numbers(trials), self.speed, self.seed)
         env.place_on([trial.ground for trial in trials])
         rollout = evaluator.rollout(view(env), trials, self.seed)
         steps = round(self.seconds / CONTROL_DT)
@@ -95,6 +96,7 @@ class LevelStudy(OneTryStudy):
             kind, level = ground.split(":")
             title = f"{number}/{len(self.grounds)} {ground}"
             walk = partial(self.walk_on, evaluator, kind, int(level), title)
+            # The name is that of a file, which has no colon on some systems.
             parts[ground.replace(":", "_")] = walk
         return parts
 

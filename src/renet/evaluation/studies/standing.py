@@ -126,8 +126,11 @@ class StandingStudy(TerrainStudy):
         header = tuple(name for name in summary["runs"][0] if name != "seed")
         rows = []
         for run in summary["runs"]:
-            values = [run[name] for name in header]
-            rows.append(tuple(f"{v:.3f}" if isinstance(v, float) else v for v in values))
+            row = []
+            for name in header:
+                value = run[name]
+                row.append(f"{value:.3f}" if isinstance(value, float) else value)
+            rows.append(tuple(row))
         return [("Commanded to stand", header, rows)]
 
 
@@ -142,6 +145,7 @@ def stillness(poses: np.ndarray, settled: int) -> tuple[np.ndarray, np.ndarray]:
         Horizontal distance from the position at `settled` to the last one, [N] m; mean speed of the
         joints from then on, [T - settled, N] rad/s.
     """
+    # The first seven positions are those of the base.
     drift = np.linalg.norm(poses[-1, :, :2] - poses[settled, :, :2], axis=-1)
     speed = np.abs(np.diff(poses[settled - 1 :, :, 7:], axis=0)).mean(axis=-1) / CONTROL_DT
     return drift, speed

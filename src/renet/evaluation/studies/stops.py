@@ -18,7 +18,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.rollout import StudyMode, Trial
+from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
 from renet.evaluation.studies.one_try import START_YAW
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
@@ -71,11 +71,14 @@ class StopsStudy(WalkingStudy):
         tile = replace(barriers()[kind], low=self.height, high=self.height)
         terrain = parkour_terrain(UNSEEN, {kind: tile}, levels=1)
         cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
+        # Robots start at this angle, give or take `START_YAW`.
         turned = math.radians(angle)
         cfg.events["spawn"].params["pose_range"]["yaw"] = (turned - START_YAW, turned + START_YAW)
         each = self.robots_each
-        trials = [Trial(mode, robot=robot) for mode in self.modes for robot in range(each)]
-        env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
+        trials = []
+        for mode in self.modes:
+            trials += [Trial(mode, robot=robot) for robot in range(each)]
+        env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         steps = round(self.seconds / CONTROL_DT)
         rollout = evaluator.rollout(env, trials, self.seed)
         trace = rollout.run(steps, f"{kind}, {angle:g} degrees")

@@ -16,6 +16,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -24,8 +25,8 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
-from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, StudyMode, Trial
+from renet.evaluation.results import column, grouped
+from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, StudyMode, Trial, robot_numbers
 from renet.evaluation.studies.one_try import NEAREST, START_YAW
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
@@ -131,7 +132,7 @@ class TerrainStudy(WalkingStudy):
         # An MJCF scene has one level.
         alike = self.scene is not None and len(self.levels) == 1
         levels = self.quick_levels if self.quick and not alike else self.levels
-        return [(level, mode) for level in levels for mode in self.modes]
+        return list(product(levels, self.modes))
 
     def file_digests(self) -> dict[str, str]:
         """Hashes of the files of motors and ground, for parts' keys."""
@@ -171,15 +172,17 @@ class TerrainStudy(WalkingStudy):
         trace = rollout.run(steps, title, until_ended=least, retire=self.one_try)
         groups = trace.groups(self.robots_each)
         runs = []
+        levels_passed = []
         for (level, mode), group in zip(settings, groups, strict=True):
             runs.append(self._run(kind, level, mode, group))
+            levels_passed.append(passed(group))
         # The paper's table is that of the first mode.
         first = trace.robots(np.array([trial.mode == self.modes[0] for trial in trials]))
         walks = ~first.over
         along = np.minimum(first.forward_velocity, self.speed) / (self.speed + 1e-5)
         return {
             "runs": runs,
-            "passed": [passed(group) for group in groups],
+            "passed": levels_passed,
             # Sums over the steps of first tries: collisions, and the reward for speed.
             "steps": int(walks.sum()),
             "collisions": float(first.collisions[walks].sum()),
@@ -205,14 +208,14 @@ class TerrainStudy(WalkingStudy):
         columns = []
         for kind, level, mode in groups:
             # The first level of rough ground has no relief.
-            column = kinds.index("rough" if kind == FLAT_GROUND else kind)
+            place = kinds.index("rough" if kind == FLAT_GROUND else kind)
             for robot in range(each):
                 # Twins are the same robots at every level.
                 number = robot if self.twins else level * each + robot
                 trials.append(Trial(mode, self.schedule, number))
                 levels.append(level - 1)
-                columns.append(column)
-        env = make(tuple(trial.robot for trial in trials))
+                columns.append(place)
+        env = make(tuple(robot_numbers(trials)))
         env.place(np.array(levels), np.array(columns))
         return env, trials
 
@@ -263,18 +266,20 @@ class TerrainStudy(WalkingStudy):
             highest[kind] = highest_level(np.array(parts[kind]["passed"], bool)[first])
         levels = {}
         intervals = {}
-        for column, kinds in TABLE.items():
+        for heading, kinds in TABLE.items():
             if all(kind in highest for kind in kinds):
                 values = np.concatenate([highest[kind] for kind in kinds])
-                levels[column] = float(values.mean())
-                intervals[column] = metrics.bootstrap_interval(values)
-        steps = max(sum(parts[kind]["steps"] for kind in self.kinds), 1)
+                levels[heading] = float(values.mean())
+                intervals[heading] = metrics.bootstrap_interval(values)
+        # Means over the steps of all first tries.
+        batches = [parts[kind] for kind in self.kinds]
+        steps = max(sum(column(batches, "steps")), 1)
         return {
             "levels": levels,
             "levels_ci95": intervals,
             "levels_by_kind": {kind: float(value.mean()) for kind, value in highest.items()},
-            "collisions": sum(parts[kind]["collisions"] for kind in self.kinds) / steps,
-            "lin_vel_reward": sum(parts[kind]["lin_vel_reward"] for kind in self.kinds) / steps,
+            "collisions": sum(column(batches, "collisions")) / steps,
+            "lin_vel_reward": sum(column(batches, "lin_vel_reward")) / steps,
             "falls_on_flat": parts["flat"]["falls"],
         }
 
@@ -301,7 +306,7 @@ class TerrainStudy(WalkingStudy):
         if summary["worse"]:
             worse = []
             for row in summary["worse"]:
-                shares = _percent(row, "memory", "blind")
+                shares = (f"{100 * row['memory']:.0f}", f"{100 * row['blind']:.0f}")
                 worse.append((row["kind"], f"{100 * row['size_m']:.0f}", *shares))
             title = "Sizes that fewer robots cross in mode memory than in mode blind, %"
             tables.append((title, ("obstacle", "size (cm)", "memory", "blind"), worse))
@@ -352,11 +357,6 @@ class DawnStudy(SuccessStudy):
         "gap": (0.10, 0.90),
         "platform": (0.10, 0.54),
     }
-
-
-def _percent(row: Mapping[str, float], *names: str) -> list[str]:
-    """Shares of a row in per cent, by their names."""
-    return [f"{100 * row[name]:.0f}" for name in names]
 
 
 def passed(trace: Trace) -> np.ndarray:
