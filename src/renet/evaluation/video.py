@@ -22,6 +22,10 @@ _font = ImageFont.load_default
 _GREEN = (126, 200, 120)
 _RED = (235, 92, 80)
 _WHITE = (245, 245, 245)
+DARK_GREEN = (30, 110, 50)
+"""Background of the outcome "crossed"."""
+DARK_RED = (170, 30, 25)
+"""Background of the outcome "fell"."""
 _SHADE = (16, 18, 22, 190)
 """Background of texts, RGBA."""
 _FPS = 25
@@ -39,6 +43,7 @@ def film(
     titles: Mapping[int, str],
     fault: str,
     steps: Sequence[int] = (),
+    goal: float = np.inf,
 ) -> Path:
     """Draw robots side by side and write an mp4 that any browser plays.
 
@@ -51,8 +56,9 @@ def film(
         titles: titles of the robots to show, by their places in the trace.
         fault: text for a failing camera.
         steps: control steps of the pictures; by default the whole run in real time.
+        goal: distance from the start at which a robot has crossed, m.
     """
-    pictures = _pictures(spec, trace, titles, fault, steps)
+    pictures = _pictures(spec, trace, titles, fault, steps, goal)
     try:
         video = mediapy.compress_video(pictures, fps=_FPS, crf=26)
     except RuntimeError as error:
@@ -62,7 +68,12 @@ def film(
 
 
 def _pictures(
-    spec: mujoco.MjSpec, trace: Trace, titles: Mapping[int, str], fault: str, steps: Sequence[int]
+    spec: mujoco.MjSpec,
+    trace: Trace,
+    titles: Mapping[int, str],
+    fault: str,
+    steps: Sequence[int],
+    goal: float,
 ) -> Iterator[np.ndarray]:
     """Pictures of a film, [height, width, 3] uint8 each, with a progress bar; see `film`."""
     assert trace.film is not None
@@ -80,10 +91,19 @@ def _pictures(
             _draw_map(image, view, painter, trace, at, robot)
             _stamp(image, trace, at, robot, titles[robot], fault)
             if trace.fallen[step, robot]:
-                look = {"font": _font(30), "stroke_width": 2, "stroke_fill": _WHITE}
-                ImageDraw.Draw(image).text((12, 30), "fell", _RED, **look)
+                _write_outcome(image, "fell", DARK_RED)
+            elif trace.travelled[at, robot] >= goal:
+                _write_outcome(image, "crossed", DARK_GREEN)
             panels.append(np.asarray(image))
         yield np.hstack(panels)
+
+
+def _write_outcome(image: Image.Image, outcome: str, colour: tuple[int, int, int]) -> None:
+    """Write the end of a robot's try, large, and in place of its state."""
+    draw = ImageDraw.Draw(image)
+    draw.text((12, 30), outcome, colour, font=_font(44), stroke_width=2, stroke_fill=_WHITE)
+    draw.rectangle((image.width - 92, 0, image.width, 24), fill=colour)
+    draw.text((image.width - 8, 4), outcome, font=_font(14), fill=_WHITE, anchor="ra")
 
 
 def _state(trace: Trace, step: int, robot: int) -> str:
