@@ -107,8 +107,8 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     # Monitors of what was not recorded keep their thresholds.
     spec = bundle.manifest.selector
     names = {MEMORY} | (MONITORS.keys() - series.keys())
-    kept = {name: limit for name, limit in spec.thresholds.items() if name in names}
-    return _store(cfg, bundle, series, {}, (kept, spec.longest_memory))
+    unchanged = {name: limit for name, limit in spec.thresholds.items() if name in names}
+    return _store(cfg, bundle, series, {}, (unchanged, spec.longest_memory))
 
 
 def _store(
@@ -128,8 +128,8 @@ def _store(
     without = {MEMORY}
     if cfg.sparse_grass and bundle.predicts_variance:
         without.add("reconstruction")
-    judged = {name: runs for name, runs in series.items() if name not in without}
-    thresholds, hours = calibrate_monitors(judged, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
+    calibrated = {name: runs for name, runs in series.items() if name not in without}
+    thresholds, hours = calibrate_monitors(calibrated, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
     _accept_grass(thresholds, grassy)
     scores = np.concatenate(series["reconstruction"])
     beta = calibrate(scores, cfg.false_alarm)
@@ -221,11 +221,11 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     trials = [Trial("camera", faults, int(robot)) for robot in robots]
     series: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
-        tiled = terrain == PARKOUR
+        on_tiles = terrain == PARKOUR
         # Tiles of the paper's preset, so that studies, which have others, judge on unseen ones.
-        task = parkour_env_cfg(play=True, robot=evaluator.robot) if tiled else terrain
+        task = parkour_env_cfg(play=True, robot=evaluator.robot) if on_tiles else terrain
         env = evaluator.make_env(task, range(cfg.robots), cfg.speed, cfg.seed)
-        if tiled:
+        if on_tiles:
             env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))
         rollout = evaluator.rollout(env, trials, cfg.seed)
         rollout.on_update = log = MonitorLog(cfg.robots)

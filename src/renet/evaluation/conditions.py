@@ -26,7 +26,7 @@ _PUSH_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 """Components of a push, in the order of a body's velocity."""
 
 
-def as_trained(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
+def use_training_conditions(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
     """Set a study's task to the body differences, sensors and pushes of training, in place.
 
     Starts, the noise of images and whatever else a study varies are not changed.
@@ -71,17 +71,17 @@ class Disturbances:
     """Scales of the proprioception, [45]."""
 
     @classmethod
-    def taken_from(cls, cfg: RenetEnvCfg) -> Disturbances:
+    def extract(cls, cfg: RenetEnvCfg) -> Disturbances:
         """Remove the disturbances from a configuration, in place, and return them."""
-        taken = cls(push=cfg.events.pop(PUSH, None))
+        disturbances = cls(push=cfg.events.pop(PUSH, None))
         # Left in place, mjlab's noise would differ between twins.
         group = cfg.observations["proprioception"]
         term = group.terms["value"]
         if group.enable_corruption and isinstance(term.noise, UniformNoiseCfg):
-            taken.noise = term.noise
+            disturbances.noise = term.noise
             term.noise = None
-            taken.scale = torch.tensor(term.scale)
-        return taken
+            disturbances.scale = torch.tensor(term.scale)
+        return disturbances
 
     def restart(self, robots: int, seed: int) -> None:
         """Begin a run of R robots."""

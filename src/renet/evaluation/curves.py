@@ -67,7 +67,7 @@ def make_curves(cfg: CurvesCfg) -> Path:
     runs = []
     for argument in cfg.runs:
         runs.append(read_run(argument, cfg.smooth))
-    names = chosen(runs, cfg.curves)
+    names = choose_curves(runs, cfg.curves)
     out = output_folder(cfg.out)
     by_label: dict[str, list[Run]] = {}
     for run in runs:
@@ -79,7 +79,7 @@ def make_curves(cfg: CurvesCfg) -> Path:
     write_csv(out / "summary.csv", rows)
     write_atomically(out / "curves.png", picture(by_label, names), "figure")
     header = ("curve", "runs", "seeds", "M steps", "mean", "SD", "range")
-    show("Last values", header, list(map(shown, rows)))
+    show("Last values", header, list(map(table_row, rows)))
     return out
 
 
@@ -120,16 +120,16 @@ def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
     return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
-def chosen(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:
-    """Names of the runs' curves that begin with one of `wanted`; raises RenetError for none."""
+def choose_curves(runs: Sequence[Run], beginnings: Sequence[str]) -> list[str]:
+    """Names of the runs' curves that begin with one of `beginnings`; raises RenetError for none."""
     names: set[str] = set()
     for run in runs:
         names |= run.values.keys()
     known = sorted(names)
-    for beginning in wanted:
+    for beginning in beginnings:
         if not any(name.startswith(beginning) for name in known):
             raise unknown_name("curve", beginning, known)
-    return [name for name in known if name.startswith(tuple(wanted))]
+    return [name for name in known if name.startswith(tuple(beginnings))]
 
 
 def last_values(
@@ -175,7 +175,7 @@ def _value_at(run: Run, name: str, steps: float) -> float:
     return float(np.interp(steps, run.steps[known], run.values[name][known]))
 
 
-def shown(row: Mapping[str, Any]) -> tuple[str, ...]:
+def table_row(row: Mapping[str, Any]) -> tuple[str, ...]:
     """Row of the printed table, with the last part of the curve's name."""
     curve = row["curve"].split("/")[-1].replace("_", " ")
     steps = f"{row['steps'] / 1e6:.2f}"
@@ -204,19 +204,19 @@ def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> byte
 
 def draw_seeds(axis: Axes, runs: Sequence[Run], name: str, colour: str, label: str) -> None:
     """Draw the mean of runs over the steps they have in common, and a band over their range."""
-    mine = [run for run in runs if name in run.values]
-    if not mine:
+    group = [run for run in runs if name in run.values]
+    if not group:
         return
-    begin = max(run.steps[0] for run in mine)
-    end = min(run.steps[-1] for run in mine)
+    begin = max(run.steps[0] for run in group)
+    end = min(run.steps[-1] for run in group)
     steps = np.linspace(begin, end, _POINTS)
     # [runs, points]
-    values = np.empty((len(mine), _POINTS))
-    for row, run in enumerate(mine):
+    values = np.empty((len(group), _POINTS))
+    for row, run in enumerate(group):
         values[row] = [_value_at(run, name, step) for step in steps]
-    count = f"{label} ({len(mine)} seeds)" if len(mine) > 1 else label
+    count = f"{label} ({len(group)} seeds)" if len(group) > 1 else label
     axis.plot(steps / 1e6, values.mean(axis=0), color=colour, label=count)
-    if len(mine) > 1:
+    if len(group) > 1:
         low = values.min(axis=0)
         high = values.max(axis=0)
         axis.fill_between(steps / 1e6, low, high, color=colour, alpha=0.2, linewidth=0)

@@ -154,7 +154,7 @@ class SimEnv:
     def __init__(self, cfg: RenetEnvCfg, robots: Sequence[int], seed: int, engine: str) -> None:
         """Build the environment with one row for each robot number."""
         cfg = deepcopy(cfg)
-        self._disturbances = Disturbances.taken_from(cfg)
+        self._disturbances = Disturbances.extract(cfg)
         # mjlab prints its tables, and warns of choices that the task makes on purpose.
         with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
             self.env: RenetEnv = make_env(cfg, len(robots), seed=seed, engine=engine)

@@ -7,7 +7,7 @@ from mjlab.terrains import TerrainEntityCfg
 
 from renet.bundle import Bundle
 from renet.errors import RenetError
-from renet.evaluation.conditions import as_trained
+from renet.evaluation.conditions import use_training_conditions
 from renet.evaluation.env import (
     SimEnv,
     robot_of,
@@ -104,7 +104,7 @@ class Evaluator:
     def set_conditions(self, cfg: RenetEnvCfg) -> None:
         """Set a task to the evaluator's conditions, in place."""
         if self.conditions == "training":
-            as_trained(cfg, trained_env_cfg(self.bundle.manifest))
+            use_training_conditions(cfg, trained_env_cfg(self.bundle.manifest))
 
     def make_env(
         self,

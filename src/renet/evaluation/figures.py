@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from renet.evaluation.results import Provenance, column, grouped
+from renet.evaluation.results import Provenance, column, group_by
 from renet.faults import fault_class
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
@@ -145,7 +145,7 @@ def mean_cells(
 ) -> Cells:
     """Mean shares of runs in percent, by fault and another column of the rows, the heading."""
     cells = {}
-    for (fault, name), group in grouped(runs, "fault", heading).items():
+    for (fault, name), group in group_by(runs, "fault", heading).items():
         shares = np.array([100 * share(run) for run in group])
         shares = shares[~np.isnan(shares)]
         mean = shares.mean() if shares.size else np.nan
@@ -218,7 +218,7 @@ def share_panels(
     figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
     for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):
         places = list(dict.fromkeys(map(tick, runs)))
-        modes = grouped(runs, "mode")
+        modes = group_by(runs, "mode")
         # Modes are side by side, or equal shares would hide each other.
         apart = 0.012 * max(len(places) - 1, 1)
         for number, ((mode,), line) in enumerate(modes.items()):

@@ -33,7 +33,7 @@ _EXIT_TIMEOUT = 20.0
 """Time that a process has to exit after it is told to, s."""
 
 
-class Parted(Protocol):
+class PicklableStudy(Protocol):
     """Study of a class that other processes can import."""
 
     def part_maker(self) -> Callable[[str], Any]:
@@ -42,7 +42,7 @@ class Parted(Protocol):
 
 
 @dataclass(frozen=True)
-class Progressed:
+class ProgressMessage:
     """Message of a process about the part it is making."""
 
     title: str
@@ -53,7 +53,7 @@ class Progressed:
 
 
 @dataclass(frozen=True)
-class Failed:
+class FailureMessage:
     """Message of a process that could not make a part."""
 
     reason: str
@@ -72,7 +72,7 @@ class Job:
     """Names of the parts it makes; none before the first."""
 
 
-def make_parts(study: Parted, groups: Sequence[Sequence[str]], jobs: int) -> None:
+def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int) -> None:
     """Make parts of a study, and keep them on disk.
 
     Args:
@@ -85,22 +85,22 @@ def make_parts(study: Parted, groups: Sequence[Sequence[str]], jobs: int) -> Non
             study is of a class that other processes cannot import.
     """
     try:
-        pickled = pickle.dumps(study)
+        study_bytes = pickle.dumps(study)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise RenetError(f"--jobs needs a study that other processes can import: {error}") from None
     waiting = list(groups)
     running: list[Job] = []
-    with Progress(console=Console(stderr=True)) as bars, _ended(running):
+    with Progress(console=Console(stderr=True)) as bars, _terminating(running):
         whole = bars.add_task(f"{'parts':<24}", total=sum(map(len, groups)))
         for processors in _shares(jobs):
             bar = bars.add_task(f"{'starting':<24}", total=None)
-            running.append(Job(*_start(pickled, processors), bar))
+            running.append(Job(*_start(study_bytes, processors), bar))
         while running:
             jobs_by_connection: dict[Any, Job] = {job.connection: job for job in running}
             for connection in wait(list(jobs_by_connection)):
                 job = jobs_by_connection[connection]
-                news = _received(job)
-                if isinstance(news, Progressed):
+                news = _receive(job)
+                if isinstance(news, ProgressMessage):
                     title = f"{news.title:<24}"
                     bars.update(job.bar, description=title, completed=news.done, total=news.total)
                     continue
@@ -109,7 +109,7 @@ def make_parts(study: Parted, groups: Sequence[Sequence[str]], jobs: int) -> Non
                 job.parts = waiting.pop(0) if waiting else ()
                 job.connection.send(job.parts)
                 if not job.parts:
-                    # Remove it only after its exit: `_ended` needs it if Ctrl-C comes meanwhile.
+                    # Remove it only after its exit: `_terminating` needs it if Ctrl-C comes meanwhile.
                     job.process.join()
                     running.remove(job)
                     bars.remove_task(job.bar)
@@ -122,7 +122,7 @@ def _shares(jobs: int) -> list[list[int]]:
     return [shares[job % len(shares)].tolist() for job in range(jobs)]
 
 
-def _start(pickled: bytes, processors: list[int]) -> tuple[BaseProcess, Connection]:
+def _start(study_bytes: bytes, processors: list[int]) -> tuple[BaseProcess, Connection]:
     """Start a process, and return it with this end of its connection."""
     # Forking a process with threads, such as PyTorch's, is not safe.
     context = get_context("spawn")
@@ -137,11 +137,11 @@ def _start(pickled: bytes, processors: list[int]) -> tuple[BaseProcess, Connecti
     theirs.close()
     # If the process has exited already, the job's first message tells.
     with suppress(BrokenPipeError):
-        ours.send_bytes(pickled)
+        ours.send_bytes(study_bytes)
     return process, ours
 
 
-def _received(job: Job) -> Progressed | None:
+def _receive(job: Job) -> ProgressMessage | None:
     """Receive the next message of a job; None: it is ready for parts.
 
     Raises RenetError for a failure that the user can correct, RuntimeError for any other.
@@ -154,7 +154,7 @@ def _received(job: Job) -> Progressed | None:
             f"the process that made {', '.join(job.parts) or 'nothing yet'} ended with code"
             f" {job.process.exitcode}; if memory was short, give fewer --jobs"
         ) from None
-    if isinstance(news, Failed):
+    if isinstance(news, FailureMessage):
         if news.correctable:
             raise RenetError(news.reason)
         raise RuntimeError(f"{', '.join(job.parts)} failed in a process:\n{news.reason}")
@@ -162,7 +162,7 @@ def _received(job: Job) -> Progressed | None:
 
 
 @contextmanager
-def _ended(jobs: list[Job]) -> Iterator[None]:
+def _terminating(jobs: list[Job]) -> Iterator[None]:
     """End the processes that still run when the block ends, also after an error or Ctrl-C."""
     try:
         yield
@@ -182,13 +182,13 @@ def _work(connection: Connection, processors: list[int]) -> None:
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     # Thread pools, which start with the imports below, have one thread for each processor.
     os.sched_setaffinity(0, processors)
-    told = 0.0
+    last = 0.0
 
     def tell(title: str, done: int, total: int) -> None:
-        nonlocal told
-        if time.monotonic() - told >= _NEWS_INTERVAL:
-            told = time.monotonic()
-            connection.send(Progressed(title, done, total))
+        nonlocal last
+        if time.monotonic() - last >= _NEWS_INTERVAL:
+            last = time.monotonic()
+            connection.send(ProgressMessage(title, done, total))
 
     tell_progress(tell)
     try:
@@ -200,8 +200,8 @@ def _work(connection: Connection, processors: list[int]) -> None:
                 make(name)
             connection.send(None)
     except RenetError as error:
-        connection.send(Failed(str(error), correctable=True))
+        connection.send(FailureMessage(str(error), correctable=True))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # The other end has exited and waits for no parts.
     except Exception:
-        connection.send(Failed(traceback.format_exc(), correctable=False))
+        connection.send(FailureMessage(traceback.format_exc(), correctable=False))

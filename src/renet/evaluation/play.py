@@ -72,7 +72,7 @@ class PlayCfg:
 
 
 @contextmanager
-def opened(path: Path | None) -> Iterator[Path | None]:
+def bundle_folder(path: Path | None) -> Iterator[Path | None]:
     """Folder of a bundle; a checkpoint is exported to a folder that lasts as long as the block.
 
     Raises RenetError for a folder that holds neither.
@@ -107,7 +107,7 @@ def run_play(cfg: PlayCfg) -> Path:
     from renet.evaluation.evaluator import Evaluator
     from renet.evaluation.video import film
 
-    with opened(cfg.bundle) as folder:
+    with bundle_folder(cfg.bundle) as folder:
         evaluator = Evaluator(folder, cfg.engine)
         task = ground_of(cfg)
         output_folder(out.parent)

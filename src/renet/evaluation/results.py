@@ -142,7 +142,7 @@ def load_or_make(
     return part
 
 
-def grouped(rows: Sequence[_Row], *names: str) -> dict[tuple[Any, ...], list[_Row]]:
+def group_by(rows: Sequence[_Row], *names: str) -> dict[tuple[Any, ...], list[_Row]]:
     """Group rows by their values of some columns, in the order in which these first occur."""
     groups: dict[tuple[Any, ...], list[_Row]] = {}
     for row in rows:

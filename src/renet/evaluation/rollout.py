@@ -241,8 +241,8 @@ class Rollout:
             self._frames = self.injector.apply(live, step, self._retired)
         failing = self.injector.at_work(step)
         # Mode oracle is told which cameras fail.
-        distrusted = failing & (self.modes == ORACLE)
-        action = pilot.act(result.proprioception, self._images(step), distrusted)
+        oracle_mask = failing & (self.modes == ORACLE)
+        action = pilot.act(result.proprioception, self._images(step), oracle_mask)
         # A judgement takes effect in the next control step.
         for update in range(UPDATES_PER_STEP):
             images = self._images(step, update)

@@ -131,7 +131,7 @@ class Study:
         """Function that runs each batch of robots, by the name under which its part is kept."""
         raise NotImplementedError
 
-    def together(self, names: Sequence[str]) -> list[list[str]]:
+    def part_groups(self, names: Sequence[str]) -> list[list[str]]:
         """Names of the parts in groups, each of which one process makes.
 
         By default every part is a group. A study groups parts whose robots walk side by side.
@@ -235,7 +235,7 @@ class Study:
     def _make_share(self, make: PartMaker) -> None:
         """Make the missing parts of this shard, or of the whole study without shards."""
         groups = []
-        for group in self.together(list(make.makers))[self.share]:
+        for group in self.part_groups(list(make.makers))[self.share]:
             names = make.missing(group)
             if names:
                 groups.append(names)

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from renet.evaluation.conditions import as_trained
+from renet.evaluation.conditions import use_training_conditions
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.studies.margins import ALLOWED_LOSS, MARGIN_AXES, MarginsStudy, change, margin
 from renet.tasks import env_cfg
@@ -69,7 +69,7 @@ def test_levels_are_in_the_units_they_are_shown_in():
 
 def test_a_biased_sensor_keeps_the_noise_of_training():
     cfg = flat_cfg()
-    as_trained(cfg, env_cfg("Renet-Go1-Parkour"))
+    use_training_conditions(cfg, env_cfg("Renet-Go1-Parkour"))
     low, high = (np.array(settings(cfg)["sensors"][1][end]) for end in ("n_min", "n_max"))
     change(cfg, "gyro", 0.5)
     gyro = np.arange(45) < 3  # The first terms of the proprioception.

@@ -106,7 +106,7 @@ def entries_of(results: Sequence[Result]) -> list[Entry]:
     return entries
 
 
-def ranked(results: Sequence[Result]) -> list[Entry]:
+def rank_entries(results: Sequence[Result]) -> list[Entry]:
     """Entries of result files, best first; raises RenetError if their episodes differ."""
     if len(set(column(results, "episodes"))) > 1:
         raise RenetError("give results of the same episodes: all quick, all full, or all sealed")
@@ -117,11 +117,11 @@ def ranking(results: Sequence[Result]) -> Table:
     """Table of the entries, best first, with shares in per cent.
 
     The last column is the difference in points to the first entry of the first file, with a 95 %
-    interval over paired episodes. Raises as `ranked`.
+    interval over paired episodes. Raises as `rank_entries`.
     """
     reference = entries_of(results)[0]
     rows = []
-    for place, entry in enumerate(ranked(results), start=1):
+    for place, entry in enumerate(rank_entries(results), start=1):
         rows.append(_line(place, entry, reference))
     title = (
         f"renet-faults, version {BENCHMARK_VERSION}, {results[0]['episodes']} episodes;"
@@ -153,7 +153,7 @@ def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
 def measures(results: Sequence[Result]) -> Table:
     """Table of the entries' other measures, in the ranking's order, with shares in per cent."""
     rows = []
-    for entry in ranked(results):
+    for entry in rank_entries(results):
         scores = entry.scores
         cells = []
         for name in _MEASURES:

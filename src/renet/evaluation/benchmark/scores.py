@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.results import column, grouped
+from renet.evaluation.results import column, group_by
 
 if TYPE_CHECKING:
     from renet.evaluation.benchmark.episodes import Episode
@@ -94,7 +94,7 @@ def _mean(values: Sequence[float] | np.ndarray) -> float | None:
 def by_family(rows: Sequence[EpisodeRow]) -> dict[str, dict[str, Any]]:
     """Share of obstacles crossed, and the number of episodes, by family of faults."""
     scores = {}
-    for (family,), group in grouped(rows, "family").items():
+    for (family,), group in group_by(rows, "family").items():
         share = float(crossed_shares(group).mean())
         scores[family] = {"score": share, "episodes": len(group)}
     return scores

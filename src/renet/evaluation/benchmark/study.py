@@ -15,7 +15,7 @@ from renet.evaluation.benchmark.leaderboard import family_table, measures, ranki
 from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, ROLLOUT_MODES, EntryName
 from renet.evaluation.benchmark.results import SETS, demand_version_seed, make_result
 from renet.evaluation.benchmark.scores import EpisodeRow, by_family, rows_of, score_rows
-from renet.evaluation.results import grouped, write_json
+from renet.evaluation.results import group_by, write_json
 from renet.evaluation.study import Part, Study, Table
 from renet.files import remove
 from renet.motor_models import IDEAL
@@ -143,7 +143,7 @@ class BenchmarkStudy(Study):
         runs: list[EpisodeRow] = []
         scores = {}
         families = {}
-        for (entry,), group in grouped(rows, "entry").items():
+        for (entry,), group in group_by(rows, "entry").items():
             runs += group
             scores[entry] = score_rows(group)
             families[entry] = by_family(group)

@@ -84,27 +84,27 @@ def verify(study: Verifiable, path: Path) -> str:
         raise RenetError(
             f"{printable(str(path))} has none of the entries {', '.join(walked_entries)}"
         )
-    walked = plain(study.walk(evaluator, first))["rows"]
-    again = {(row["entry"], row["episode"]): row for row in walked}
+    new_rows = plain(study.walk(evaluator, first))["rows"]
+    new_by_walk = {(row["entry"], row["episode"]): row for row in new_rows}
     # Compare the result's rows of this block with the new ones.
     last = first + EPISODES_PER_BLOCK - 1
-    claimed = []
+    old_rows = []
     differ = []
     for row in result["rows"]:
         if row["entry"] not in entries or not first <= row["episode"] <= last:
             continue
-        claimed.append(row)
-        other = again[row["entry"], row["episode"]]
+        old_rows.append(row)
+        other = new_by_walk[row["entry"], row["episode"]]
         if any(row[name] != other[name] for name in _EXACT):
             differ.append(row)
-    if len(differ) > _TOLERATED * len(claimed):
+    if len(differ) > _TOLERATED * len(old_rows):
         worst = differ[0]
         raise RenetError(
             f"{printable(str(path))} does not hold: of episodes {first} to {last},"
-            f" {len(differ)} of {len(claimed)} walks end otherwise, the first in episode"
+            f" {len(differ)} of {len(old_rows)} walks end otherwise, the first in episode"
             f" {worst['episode']} ({printable(worst['entry'])})"
         )
     return (
         f"{printable(str(path))} holds: of episodes {first} to {last},"
-        f" {len(claimed) - len(differ)} of {len(claimed)} walks end as the file says"
+        f" {len(old_rows) - len(differ)} of {len(old_rows)} walks end as the file says"
     )

@@ -16,7 +16,7 @@ from renet.evaluation.benchmark.episodes import Episode
 from renet.evaluation.benchmark.families import SealedFaults, fault_of
 from renet.evaluation.benchmark.modes import HEALTHY
 from renet.evaluation.benchmark.stranger import stranger
-from renet.evaluation.conditions import as_trained
+from renet.evaluation.conditions import use_training_conditions
 from renet.evaluation.env import SimEnv
 from renet.evaluation.rollout import Trial
 from renet.evaluation.trace import StepResult
@@ -65,7 +65,7 @@ def course_env_cfg(courses: dict[str, Course], robot: RobotCfg) -> RenetEnvCfg:
         camera_position=0.03,
         camera_angle=0.14,
     )
-    as_trained(cfg, trained)
+    use_training_conditions(cfg, trained)
     # A motor's torque reaches zero at its largest speed, or somewhat above.
     randomize(cfg, no_load_speed=(1.0, 1.5))
     # These terminations compare heights with the tile's start, but courses go up and down.

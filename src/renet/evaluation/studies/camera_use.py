@@ -19,7 +19,7 @@ from scipy.stats import binomtest, fisher_exact
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import column, grouped, select
+from renet.evaluation.results import column, group_by, select
 from renet.evaluation.rollout import FLAT_GROUND, EvalEnv, StudyMode, Trial
 from renet.evaluation.studies.one_try import LevelStudy
 from renet.evaluation.study import Figures, Part, Table
@@ -149,19 +149,19 @@ class CameraUseStudy(LevelStudy):
                 run = {"ground": ground, "view": view, "mode": self.modes[0], "seed": self.seed}
                 runs.append(run | compare_with_twins(part, view))
         # The robots of all grounds together.
-        whole = {}
+        all_grounds = {}
         for view in VIEWS:
             rows = column(list(grounds.values()), view)
             crossed = np.concatenate(column(rows, "crossed"))
             parted = np.concatenate(column(rows, "parted"))
-            whole[view] = {"crossed": crossed, "parted": parted}
-        total = {view: compare_with_twins(whole, view) for view in VIEWS}
+            all_grounds[view] = {"crossed": crossed, "parted": parted}
+        total = {view: compare_with_twins(all_grounds, view) for view in VIEWS}
         return {"runs": runs, "total": total, "sentence": sentence(total, runs)}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure camera_use.png: shares that cross, by view, with a panel for each ground."""
         panels = {}
-        for (ground,), runs in grouped(summary["runs"], "ground").items():
+        for (ground,), runs in group_by(summary["runs"], "ground").items():
             panels[ground.replace("_", " ")] = runs
         figure = figures.share_panels(panels, "crossed", itemgetter("view"), rotation=90)
         figure.suptitle(textwrap.fill(summary["sentence"], 100), fontsize=9)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from renet.evaluation.figures import setting_label
-from renet.evaluation.results import column, grouped, select
+from renet.evaluation.results import column, group_by, select
 from renet.evaluation.studies.fault_settings import Setting
 from renet.terrain.tiles import DIFFICULT
 
@@ -134,8 +134,8 @@ def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set
         mode: mode under faults.
         reference: mode without faults.
     """
-    usual = grouped(select(baseline, mode=reference), "ground")
-    groups = grouped(select(runs, mode=mode), "ground", "fault")
+    usual = group_by(select(baseline, mode=reference), "ground")
+    groups = group_by(select(runs, mode=mode), "ground", "fault")
     worse = set()
     for place, rows in groups.items():
         ground = place[:1]

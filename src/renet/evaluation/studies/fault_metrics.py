@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation import metrics
-from renet.evaluation.results import grouped
+from renet.evaluation.results import group_by
 from renet.evaluation.studies.fault_settings import Setting
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
@@ -90,7 +90,7 @@ def by_robot(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str,
     robots.
     """
     means: dict[str, dict[str, dict[str, np.ndarray]]] = {}
-    for (mode, ground), rows in grouped(runs, "mode", "ground").items():
+    for (mode, ground), rows in group_by(runs, "mode", "ground").items():
         shares = {}
         for name in _SHARES:
             shares[name] = np.mean([row["values"][name] for row in rows], axis=0)

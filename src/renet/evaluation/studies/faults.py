@@ -21,7 +21,7 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay_selector
-from renet.evaluation.results import grouped, select
+from renet.evaluation.results import group_by, select
 from renet.evaluation.rollout import FLAT_GROUND, Trial, check_grounds, robot_numbers
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.fault_findings import findings
@@ -188,7 +188,7 @@ class FaultStudy(WalkingStudy):
             parts["healthy"] = partial(self._run_healthy, evaluator)
         return parts
 
-    def together(self, names: Sequence[str]) -> list[list[str]]:
+    def part_groups(self, names: Sequence[str]) -> list[list[str]]:
         """Groups of faults that walk side by side; each other part is a group of its own."""
         others = [[name] for name in names if name not in self.batches]
         return self._fault_groups() + others
@@ -407,7 +407,7 @@ class FaultStudy(WalkingStudy):
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Robots that crossed, by ground and fault, the claims, harmful and missed settings."""
         crossed: list[tuple[Any, ...]] = []
-        for place, runs in grouped(summary["runs"], "ground", "fault").items():
+        for place, runs in group_by(summary["runs"], "ground", "fault").items():
             row = list(place)
             for mode in self.modes:
                 shares = list(map(_crossed, select(runs, mode=mode)))

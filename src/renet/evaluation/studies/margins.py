@@ -20,7 +20,7 @@ import scipy
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import column, grouped
+from renet.evaluation.results import column, group_by
 from renet.evaluation.rollout import StudyMode, check_grounds, robot_numbers
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION, Terrain
@@ -91,8 +91,8 @@ def change(cfg: RenetEnvCfg, axis: str, level: float) -> None:
             # The IMU is turned about both horizontal axes.
             down = np.array((0.0, 0.0, -1.0))
             turn = (level, level, 0.0)
-            turned = scipy.spatial.transform.Rotation.from_rotvec(turn, degrees=True).apply(down)
-            _bias_sensor(cfg, "projected_gravity", turned - down)
+            reading = scipy.spatial.transform.Rotation.from_rotvec(turn, degrees=True).apply(down)
+            _bias_sensor(cfg, "projected_gravity", reading - down)
         case "gyro":
             _bias_sensor(cfg, "base_angular_velocity", np.full(3, level))
         case "camera_down" | "camera_up":
@@ -213,7 +213,7 @@ class MarginsStudy(WalkingStudy):
         margins = []
         for axis in self.axes:
             unit = MARGIN_AXES[axis].unit
-            for (ground, mode), rows in grouped(runs, "ground", "mode").items():
+            for (ground, mode), rows in group_by(runs, "ground", "mode").items():
                 labels = {"axis": axis, "unit": unit, "ground": ground, "mode": mode}
                 margins.append(labels | margin(rows, axis, self.levels(axis)))
         return {"runs": runs, "margins": margins}
@@ -221,7 +221,7 @@ class MarginsStudy(WalkingStudy):
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure margins.png: a coloured table, one row for each axis."""
         panels = {}
-        for (ground,), margins in grouped(summary["margins"], "ground").items():
+        for (ground,), margins in group_by(summary["margins"], "ground").items():
             cells = {}
             for row in margins:
                 place = (MARGIN_AXES[row["axis"]].title, row["mode"])
@@ -234,7 +234,7 @@ class MarginsStudy(WalkingStudy):
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Margins of each axis, by ground and mode."""
         rows = []
-        for (axis,), margins in grouped(summary["margins"], "axis").items():
+        for (axis,), margins in group_by(summary["margins"], "axis").items():
             rows.append((MARGIN_AXES[axis].title, *map(_text, margins)))
         header = [f"{ground} {mode}" for ground, mode in product(self.grounds, self.modes)]
         title = f"Within it at most {100 * ALLOWED_LOSS:.0f} % fall or stop; even: the sweep's end"

@@ -16,7 +16,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import column, grouped
+from renet.evaluation.results import column, group_by
 from renet.evaluation.rollout import StudyMode, Trial
 from renet.evaluation.studies.one_try import NEAREST, LevelStudy
 from renet.evaluation.studies.terrain import SIZE_LABELS
@@ -126,7 +126,7 @@ class MemoryStudy(LevelStudy):
         """Figure memory.png: share that crosses against the time, one panel for each ground."""
         times = [0.0] + [round(seconds, 6) for seconds in sorted(self.without)]
         panels = {}
-        for (kind, size), runs in grouped(summary["runs"], "ground", "size_m").items():
+        for (kind, size), runs in group_by(summary["runs"], "ground", "size_m").items():
             rows = []
             for run in sorted(runs, key=lambda run: run["without_s"]):
                 if run["mode"] == "blind":
@@ -143,7 +143,7 @@ class MemoryStudy(LevelStudy):
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Shares that cross, by ground and time."""
         rows = []
-        for (kind, level), runs in grouped(summary["runs"], "ground", "level").items():
+        for (kind, level), runs in group_by(summary["runs"], "ground", "level").items():
             crossed = {(run["mode"], run["without_s"]): run["crossed"] for run in runs}
             for seconds in sorted(set(column(runs, "without_s"))):
                 # Mode blind was walked once, without missing images.

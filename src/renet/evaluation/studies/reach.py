@@ -18,7 +18,7 @@ import numpy as np
 
 from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import column, grouped, select
+from renet.evaluation.results import column, group_by, select
 from renet.evaluation.rollout import Trial, robot_numbers
 from renet.evaluation.studies.memory import DEAD_CAMERA
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
@@ -168,7 +168,7 @@ class ReachStudy(WalkingStudy):
         figure, axes = plt.subplots(1, 2, figsize=(7.6, 3.0), sharey=True, squeeze=False)
         single = select(summary["runs"], scene="gap")
         for axis, share in zip(axes[0], ("crossed", "fell"), strict=True):
-            for number, ((conduct,), runs) in enumerate(grouped(single, "unseen").items()):
+            for number, ((conduct,), runs) in enumerate(group_by(single, "unseen").items()):
                 # Conducts are side by side, or equal shares would hide each other.
                 x = np.array(column(runs, "measured_m")) + 0.012 * number
                 rate = 100 * np.array(column(runs, f"{share}_rate"))

@@ -72,8 +72,8 @@ class StopsStudy(WalkingStudy):
         terrain = parkour_terrain(UNSEEN, {kind: tile}, levels=1)
         cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
         # Robots start at this angle, give or take `START_YAW`.
-        turned = math.radians(angle)
-        cfg.events["spawn"].params["pose_range"]["yaw"] = (turned - START_YAW, turned + START_YAW)
+        yaw = math.radians(angle)
+        cfg.events["spawn"].params["pose_range"]["yaw"] = (yaw - START_YAW, yaw + START_YAW)
         each = self.robots_each
         trials = []
         for mode in self.modes:

@@ -25,7 +25,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import column, grouped
+from renet.evaluation.results import column, group_by
 from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, StudyMode, Trial, robot_numbers
 from renet.evaluation.studies.one_try import NEAREST, START_YAW
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
@@ -113,10 +113,10 @@ class TerrainStudy(WalkingStudy):
         if self.scene is not None:
             ground = GroundFile(file=self.scene, width=self.scene_width, height=self.scene_height)
             return {KIND: ground.tile()}
-        changed = tiles()
+        kinds = tiles()
         for kind, (low, high) in self.sizes.items():
-            changed[kind] = replace(changed[kind], low=low, high=high)
-        return changed
+            kinds[kind] = replace(kinds[kind], low=low, high=high)
+        return kinds
 
     @property
     def schedule(self) -> FaultSchedule:
@@ -130,8 +130,8 @@ class TerrainStudy(WalkingStudy):
     def settings(self) -> list[tuple[int, str]]:
         """Level and mode of every group of robots on one kind of tile."""
         # An MJCF scene has one level.
-        alike = self.scene is not None and len(self.levels) == 1
-        levels = self.quick_levels if self.quick and not alike else self.levels
+        one_level = self.scene is not None and len(self.levels) == 1
+        levels = self.quick_levels if self.quick and not one_level else self.levels
         return list(product(levels, self.modes))
 
     def file_digests(self) -> dict[str, str]:
@@ -286,7 +286,7 @@ class TerrainStudy(WalkingStudy):
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure of the share of robots that cross, against the obstacle's size."""
         panels = {}
-        for (kind,), rows in grouped(summary["runs"], "kind").items():
+        for (kind,), rows in group_by(summary["runs"], "kind").items():
             panels[f"{SIZE_LABELS[kind]} (cm)"] = sorted(rows, key=itemgetter("size_m"))
         figure = figures.share_panels(panels, "success", lambda run: f"{100 * run['size_m']:.0f}")
         return {f"{self.name}.png": figure}
@@ -294,7 +294,7 @@ class TerrainStudy(WalkingStudy):
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Shares that cross, and the paper's table."""
         rows = []
-        for (kind, size), runs in grouped(summary["runs"], "kind", "size_m").items():
+        for (kind, size), runs in group_by(summary["runs"], "kind", "size_m").items():
             shares = [f"{100 * run['success_rate']:.0f}" for run in runs]
             rows.append((kind, f"{100 * size:.0f}", *shares))
         header = ("obstacle", "size (cm)", *self.modes)
