@@ -14,7 +14,7 @@ _FOVY = 40.0
 """Vertical field of view, degrees."""
 _FOCAL = 0.5 / np.tan(np.radians(_FOVY / 2))
 """Focal length in units of the picture's height."""
-_PANEL = (400, 300)
+PANEL = (400, 300)
 """Width and height of a picture, pixels."""
 _TARGET_HEIGHT = 0.3
 """Height of the picture's centre above the ground under the robot, m."""
@@ -90,7 +90,7 @@ class Painter:
             self._context = mjw.create_render_context(
                 model,
                 nworld=len(starts),
-                cam_res=_PANEL,
+                cam_res=PANEL,
                 render_rgb=True,
                 render_depth=True,
                 render_seg=True,
@@ -104,7 +104,7 @@ class Painter:
         """Draw robots with generalised positions [R, nq]; one view for each."""
         data = self._data
         context = self._context
-        shape = (len(poses), *reversed(_PANEL))
+        shape = (len(poses), *reversed(PANEL))
         eyes = self._place(poses)
         with wp.ScopedDevice("cpu"):
             mjw.refit_bvh(self._warp_model, data, context)
@@ -193,7 +193,7 @@ class Painter:
 
 def _pixel_rays() -> np.ndarray:
     """Point that each pixel shows 1 m along the camera's axis, in its frame, [height, width, 3]."""
-    width, height = _PANEL
+    width, height = PANEL
     across, down = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     focal = _FOCAL * height
     rays = np.stack([across - width / 2, height / 2 - down, np.full_like(across, -focal)], -1)
