@@ -109,7 +109,6 @@ def study_env_cfg(
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
     assert isinstance(command, GoalCommandCfg)
-    # One speed for the whole run.
     command.fixed_speed = speed
     command.told = told
     if told == "twist":

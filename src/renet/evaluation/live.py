@@ -84,8 +84,7 @@ def _show_shapes(model: mujoco.MjModel) -> None:
 
 def _starts_windows() -> bool:
     """True if GLFW reaches the display."""
-    # MuJoCo's viewer waits forever if it does not.
-    # MuJoCo's viewer opens its window with GLFW.
+    # MuJoCo's viewer opens its window with GLFW, and waits forever without a display.
     try:
         import glfw
     except ImportError:

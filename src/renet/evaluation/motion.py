@@ -44,7 +44,7 @@ class MotionSensor:
         """Read the motion after the newest step; slip is 0 at the first."""
         env = self._env
         robot = self._robot
-        # Horizontal velocity and way, turned into the base's heading and the commanded one.
+        # The velocity is turned into the base's heading, the position into the commanded one.
         velocity = rotated(base_velocity(env)[:, :2], -base_heading(env))
         turn_rate = env.sim.data.qvel[:, robot.indexing.free_joint_v_adr[5]]
         way = (base_position(env) - env.scene.env_origins)[:, :2]

@@ -131,7 +131,7 @@ def load_or_make(
     key = plain(key | {"format": PARTS_FORMAT})
     if path.exists():
         part = read_results(path)
-        # The file's name has only the beginning of the key's hash.
+        # The file's name holds only the beginning of the key's hash.
         if part.get("key") != key:
             raise RenetError(
                 f"{path} is of other settings than its name says: delete it and run the study again"
@@ -210,7 +210,6 @@ def write_summary(
     if figures:
         pictures = [f"![{name}]({name})\n" for name in figures]
         sections.append("\n".join(pictures))
-    # Provenance stands last.
     facts = [(name.replace("_", " "), value) for name, value in vars(origin).items()]
     sections.append(markdown(("Provenance", ("", ""), facts)))
     write_atomically(path, "\n".join(sections).encode())
