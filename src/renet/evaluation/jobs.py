@@ -109,7 +109,7 @@ def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int
                 job.parts = waiting.pop(0) if waiting else ()
                 job.connection.send(job.parts)
                 if not job.parts:
-                    # Remove it only after its exit: `_terminating` needs it if Ctrl-C comes meanwhile.
+                    # Remove it only after its exit: it must be known if Ctrl-C comes meanwhile.
                     job.process.join()
                     running.remove(job)
                     bars.remove_task(job.bar)
