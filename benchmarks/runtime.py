@@ -241,7 +241,7 @@ def walk(bundle: Bundle, ticks: int) -> tuple[RandomRobot, TimedController, str]
     robot = RandomRobot(bundle.manifest.robot)
     camera = RandomCamera()
     with TemporaryDirectory() as folder:
-        recorder = Recorder(Path(folder) / "recording.log", {})
+        recorder = Recorder(Path(folder) / "recording.mcap", {})
         with realtime(PRIORITY) as refused:
             # Inside, as in `renet deploy`: so the vision thread inherits the priority.
             controller = TimedController(bundle, RARELY, inference.ThreadedInference)

@@ -21,9 +21,10 @@ from renet.deploy import devices, gamepad, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
-from renet.deploy.recording.recorder import MODES, Recording, read_recording
+from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.replay import mismatch
 from renet.deploy.recording.score import SCORE, TIMELINE, write_score
+from renet.deploy.recording.tick import MODES
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
@@ -128,7 +129,7 @@ def test_a_fall_ends_a_flight_that_nobody_steers(tmp_path):
 def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["deploy", "--seconds", "0.1"]) == 0
-    (log,) = Path("results/deploy").glob("*/recording.log")
+    (log,) = Path("results/deploy").glob("*/recording.mcap")
     assert f"Results: {log.parent}\n" in capsys.readouterr().out
     out = Path("mine")
     flights = [len(run(out, seconds=seconds).ticks) for seconds in (0.1, 0.2, 0.3)]

@@ -18,7 +18,7 @@ from renet.bundle import read_manifest, write_manifest
 from renet.deploy import catalogue
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import deploy
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.deploy.safety.limits import SafetyCfg
 from renet.selector.monitors import MONITORS
 
@@ -84,7 +84,7 @@ def test_a_driver_of_a_package_runs_until_it_ends(terminal, monkeypatch, bundle_
     stiff = [call.args[1].any() for call in link.servo.call_args_list]
     assert any(stiff), "it stood up"
     assert not stiff[-1], "it ends braking"
-    run = read_recording(Path("out") / "recording.log")
+    run = read_recording(Path("out") / "recording.mcap")
     assert run.complete
     assert run.events[0].why == "armed"
     assert run.header["port"] == PORT

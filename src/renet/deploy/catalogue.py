@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Literal
 from renet.bundle.manifest import CameraSpec, RobotSpec
 from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.cameras.realsense import RealSenseCamera, realsense
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import demand_power_level, go1_robot

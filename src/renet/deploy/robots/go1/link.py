@@ -5,6 +5,7 @@ what it receives and keeps the newest good packet.
 """
 
 import importlib
+import math
 import socket
 from typing import Any
 
@@ -122,7 +123,8 @@ class Go1Link(Link):
             joint_torque=np.array([motor.tauEst for motor in motors]),
             quaternion=np.array(self._in.imu.quaternion),
             angular_velocity=np.array(self._in.imu.gyroscope),
-            temperature=float(max(motor.temperature for motor in motors)),
+            temperature=np.array([motor.temperature for motor in motors], float),
             battery=self._in.bms.SOC / 100.0,
+            voltage=sum(self._in.bms.cell_vol) / 1000.0 or math.nan,
             fault=self._trouble.look(modes, np.zeros(ACTION_SIZE), self.commanded, now),
         )

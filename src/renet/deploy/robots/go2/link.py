@@ -199,6 +199,7 @@ def reading(values: Any, now: float) -> RobotState:
         joint_torque=motors["tau_est"].astype(float),
         quaternion=imu["quaternion"].astype(float),
         angular_velocity=imu["gyroscope"].astype(float),
-        temperature=float(np.max(motors["temperature"])),
+        temperature=motors["temperature"].astype(float),
         battery=charge if charge > 0.0 else math.nan,
+        voltage=float(values["power_v"]) or math.nan,
     )
