@@ -22,7 +22,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = f"renet {release}"
 exclude_patterns = ["_build"]
-myst_heading_anchors = 3
+myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "deflist"]
 # Docstrings quote code in single backticks, as Markdown does.
 default_role = "code"
