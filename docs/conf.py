@@ -54,7 +54,7 @@ def setup(app) -> None:
 
 
 def _show_page(_app, name: str, source: list[str]) -> None:
-    if name == "page":
+    if name == "start":
         source[0] = source[0].replace("<!-- the page -->", EMBEDDED)
 
 
