@@ -117,6 +117,6 @@ def test_limits_are_the_codes():
         f"`max_gap` {cfg.max_gap:g} s",
         f"`max_late` {cfg.max_late}",
         f"`target_rate` {cfg.target_rate:.0f} rad/s",
-        f"{DEADMAN:g} s with a real robot",
+        f"After {DEADMAN:g} s without a key",
     ):
         assert words in PAGES["deploy"]
