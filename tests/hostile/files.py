@@ -183,7 +183,7 @@ def loop(opcode: int) -> bytes:
 HEAD = recording(EMPTY)
 COUNT = 3_900_000 // (TICK_DTYPE.itemsize + 35)
 SECOND = recording(EMPTY, messages(np.zeros(COUNT, TICK_DTYPE)))[len(HEAD) :]
-"""A chunk of 3.8 MB, of ticks at time zero."""
+"""Chunks of 3.8 MB in all, of ticks at time zero."""
 ZEROS = zstandard.compress(bytes(100_000_000))
 CHANNEL = b"\x02\x00\x00\x00\x05\x00\x00\x00/tick\x03\x00\x00\x00cdr\x00\x00\x00\x00"
 """A channel /tick of messages without a schema."""
@@ -349,8 +349,8 @@ FILES: dict[str, Maker] = {
     "times that are not numbers": file(ticks(now=[0.0, np.nan, 1.0])),
     "times that run backwards": file(ticks(now=[2.0, 1.0, 3.0])),
     "mode 77": file(ticks(mode=77)),
-    "an image of no tick": file(
-        recording(EMPTY, [(Topic.DEPTH, encode(DepthImage(0.0, np.zeros((48, 64)))))])
+    "images of no tick": file(
+        recording(EMPTY, 2 * [(Topic.DEPTH, encode(DepthImage(0.0, np.zeros((48, 64)))))])
     ),
     "an image of no pixels": file(recording(EMPTY, [(Topic.DEPTH, b"\0\1\0\0" + bytes(60))])),
     "an event without end": file(recording(EMPTY, [(Topic.EVENTS, b"\0\1\0\0" + b"\xff" * 60)])),

@@ -150,6 +150,40 @@ def test_a_torn_flight_is_read_up_to_the_tear(recorded, tmp_path, tail):
     assert lengths[-1] == STEPS
 
 
+def test_a_tear_between_an_image_and_its_tick_loses_the_two(bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(channels, "CHUNK_SIZE", 1)  # A chunk for each message.
+    run_control_loop(bundle, tmp_path / "whole.mcap")
+    whole = read_recording(tmp_path / "whole.mcap")
+    data = (tmp_path / "whole.mcap").read_bytes()
+    torn = tmp_path / "torn.mcap"
+    for end in ends_of_chunks(data):
+        torn.write_bytes(data[:end])
+        flight = read_recording(torn)
+        count = len(flight.ticks)
+        assert flight.ticks.tobytes() == whole.ticks[:count].tobytes()
+        assert list(flight.images) == [row for row in whole.images if row < count]
+
+
+def test_texts_and_seconds_of_any_size_are_read_back(tmp_path):
+    """In one chunk these events would be twice what the reader accepts."""
+    log = Recorder(tmp_path / "a.mcap", {})
+    reasons = ["\N{SNOWMAN}\N{ROBOT FACE}" * 1000] * 999 + ["x" * 5_000_000]
+    for why in reasons:
+        log.event(Event(0.0, "robot", why))
+    log.append(None, None, TeleopCommand(), 0.0, Controller(Bundle.load()).decision, 0.0)
+    log.close()
+    assert log.problem == ""
+    flight = read_recording(tmp_path / "a.mcap")
+    assert flight.complete
+    assert [event.why for event in flight.events] == [why[: channels.MAX_TEXT] for why in reasons]
+
+
+def test_a_message_too_large_to_read_ends_the_log(tmp_path):
+    log = Recorder(tmp_path / "a.mcap", {"notes": "x" * 1_000_001})
+    log.close()
+    assert log.problem.endswith("ends early: a message of /run has more than 1 MB")
+
+
 def test_a_flipped_bit_ends_the_flight_there(recorded, tmp_path):
     data = bytearray(recorded.read_bytes())
     data[len(data) // 2] ^= 4

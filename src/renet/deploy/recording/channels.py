@@ -22,7 +22,14 @@ from renet.interface import DEPTH_SHAPE
 from renet.selector.selector import REMEMBERS, SEES
 
 MAX_CHUNK = 4 * MEGABYTE
-"""Bytes of one chunk, packed or not; a second of a run has 0.2 to 0.7 MB."""
+"""Bytes of a chunk that the reader accepts, packed or not."""
+CHUNK_SIZE = MEGABYTE
+"""Bytes at which the writer ends a chunk: after the message that passes it, so that a chunk has at
+most `CHUNK_SIZE` and one message, well below `MAX_CHUNK`. A second of a run has 0.2 to 0.7 MB."""
+MAX_MESSAGE = MEGABYTE
+"""Bytes of a message; an image has 12 kB."""
+MAX_TEXT = 2000
+"""Characters of an event's reason; a driver's own errors may be of any length."""
 LAST_SECOND = 2**31 - 1
 """Of the times that ROS 2 can express."""
 PIXELS = "32FC1"
@@ -155,7 +162,7 @@ def _encode_event(event: Event) -> bytes:
     _put_time(message, event.time)
     message.number("B", INFO if event.what in QUIET else WARN)
     message.text(event.what)
-    message.text(event.why)
+    message.text(event.why[:MAX_TEXT])
     # No place in a program.
     message.text("")
     message.text("")
@@ -186,13 +193,13 @@ def _take_time(fields: CdrReader) -> int:
 
 
 class ChannelWriter:
-    """Writes messages into MCAP, in a chunk of its own for each `flush`."""
+    """Writes messages into MCAP, in chunks that end at each `flush`."""
 
     def __init__(self, stream: BinaryIO) -> None:
         """Begin a file; raises OSError where it cannot be written."""
         self._mcap = Writer(
             stream,
-            chunk_size=MAX_CHUNK,
+            chunk_size=CHUNK_SIZE,
             compression=CompressionType.ZSTD,
             index_types=IndexType.CHUNK | IndexType.MESSAGE,
         )
@@ -206,7 +213,19 @@ class ChannelWriter:
             self._channels[topic] = channel
 
     def write(self, topic: str, time: float, message: bytes) -> None:
-        """Add a message, s on the robot's clock; nothing reaches the stream before `flush`."""
+        """Add a message; it reaches the stream with its chunk, at the latest at `flush`.
+
+        Args:
+            topic: of the message.
+            time: seconds on the robot's clock.
+            message: as `encode` returns it.
+
+        Raises:
+            ValueError: the message is larger than the reader accepts.
+            OSError: the stream cannot be written.
+        """
+        if len(message) > MAX_MESSAGE:
+            raise ValueError(f"a message of {topic} has more than {MAX_MESSAGE / MEGABYTE:g} MB")
         stamp = nanoseconds(time)
         self._mcap.add_message(self._channels[topic], stamp, message, stamp)
 

@@ -212,12 +212,17 @@ class _Content:
     def recording(self, complete: bool) -> Recording:
         """The whole run; raises ValueError for what no run can have written."""
         if self._header is None:
-            raise ValueError("it has no readable header: nothing of the run was saved")
+            raise ValueError(
+                "it has no readable header: another program wrote it, or nothing was saved"
+            )
         # Of byte arrays, since arrays of bytes cannot be changed.
         ticks = np.frombuffer(bytearray().join(self._ticks), TICK_DTYPE)
         power = np.frombuffer(bytearray().join(self._power), POWER_DTYPE)
         _check(ticks, len(self._events))
         rows = np.flatnonzero(ticks["new_image"]).tolist()
+        if not complete and len(self._images) == len(rows) + 1:
+            # The tear parted the last image from its tick, which comes after it.
+            self._images.pop()
         if len(rows) != len(self._images):
             raise ValueError(f"it has {len(self._images)} images in {len(rows)} ticks with one")
         images = dict(zip(rows, self._images, strict=True))
