@@ -1,4 +1,4 @@
-"""Sixty and more files and folders that nobody should hand to renet, by name."""
+"""Ninety files and folders that nobody should hand to renet, by name."""
 
 import hashlib
 import json
@@ -339,7 +339,7 @@ FILES: dict[str, Maker] = {
     "a chunk of 100 MB that states 1 MB": file(MAGIC + chunk(ZEROS, 1_000_000)),
     "an index without end": sparse(3_000_000_000, MAGIC + loop(Opcode.MESSAGE_INDEX)),
     "statistics without end": sparse(3_000_000_000, MAGIC + loop(Opcode.STATISTICS)),
-    "a recording of renet 0.1": file(EARLIER + b"5\n" + bytes(100)),
+    "a recording of renet 0.1": file(EARLIER + b"4\n" + bytes(100)),
     "a log of another program": file(
         MAGIC + RECORD.pack(Opcode.CHANNEL, len(CHANNEL)) + CHANNEL, "other.mcap"
     ),

@@ -132,7 +132,7 @@ def test_damaged_text(short, tmp_path, edit, message):
 def test_what_is_no_csv(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00\x01" * 9)
     (tmp_path / "b.mcap").write_bytes(b"\x89MCAP0\r\n")
-    (tmp_path / "c.log").write_bytes(b"RENETLOG5\n")
+    (tmp_path / "c.log").write_bytes(b"RENETLOG4\n")
     with pytest.raises(RenetError, match="first line is not text"):
         read_motion_log(tmp_path / "a.csv", CsvCfg())
     with pytest.raises(RenetError, match="has no readable header"):

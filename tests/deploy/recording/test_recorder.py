@@ -197,7 +197,9 @@ def test_a_flipped_bit_ends_the_flight_there(recorded, tmp_path):
     ("data", "message"),
     [
         (b"once", "not a recording: those are MCAP files"),
-        (b"RENETLOG5\n" + bytes(9), r"a recording of renet 0\.1: only that version reads it"),
+        (b"RENETLOG4\n" + bytes(9), r"a recording of renet 0\.1: only that version reads it"),
+        (b"RENETLOG5\n" + bytes(9), r"between renet 0\.1 and MCAP: only that version reads it"),
+        (b"RENETLOG", "a recording of an earlier renet: only that version reads it"),
         (recording([(Topic.RUN, b"[1]")]), "another version"),
         (recording([(Topic.RUN, b"{")]), "not JSON"),
         (recording(EMPTY, [(Topic.TICK, b"123")]), "not little-endian CDR"),

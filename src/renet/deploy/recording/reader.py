@@ -38,7 +38,9 @@ from renet.files import MEGABYTE, parse_json, require_regular
 MAGIC = MCAP0_MAGIC
 """First bytes of every MCAP file."""
 EARLIER = b"RENETLOG"
-"""First bytes of the recordings of renet 0.1."""
+"""First bytes of recordings before they were MCAP; the number of their format follows."""
+EARLIER_WRITERS = {b"4": "renet 0.1", b"5": "a version in development between renet 0.1 and MCAP"}
+"""Versions that write and read these formats."""
 RECORD = struct.Struct("<BQ")
 """Opcode and length of a record of MCAP."""
 MAX_FILE = 4000 * MEGABYTE
@@ -96,7 +98,8 @@ def _demand_mcap(file: BinaryIO, path: Path) -> None:
     """Read the first bytes; raises RenetError for a file that is not MCAP."""
     magic = file.read(len(MAGIC))
     if magic == EARLIER:
-        raise RenetError(f"{path} is a recording of renet 0.1: only that version reads it")
+        writer = EARLIER_WRITERS.get(file.read(1), "an earlier renet")
+        raise RenetError(f"{path} is a recording of {writer}: only that version reads it")
     if magic != MAGIC:
         raise RenetError(f"{path} is not a recording: those are MCAP files")
 
