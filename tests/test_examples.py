@@ -12,8 +12,8 @@ from renet import cli
 from renet.errors import RenetError
 from renet.faults import FAULTS
 from renet.interface import JOINTS, LEGS, proprioception_slices
+from renet.robots.model import rename_parts
 from renet.tasks import env_cfg, make_env, mdp
-from renet.tasks.robot_cfg import rename_parts
 
 ROOT = Path(__file__).parents[1]
 FILES = ("add_reward", "add_fault", "add_robot", "add_study", "third_party_policy")
@@ -114,6 +114,8 @@ def test_another_robot_trains_exports_and_its_bundle_can_be_read(task, shows, tm
         where = f"--robots 1 --bundle {bundle} --out {out}"
         assert main(["evaluate", *study.split(), *where.split()]) == 0
         assert (out / "summary.json").exists()
+    assert main(["deploy", str(bundle), "--seconds", "1", "--out", str(tmp_path / "run")]) == 0
+    assert (tmp_path / "run" / "score.json").exists(), "the runtime simulates it, too"
 
 
 def test_action_and_observation_follow_the_interface_not_the_mjcf(env):

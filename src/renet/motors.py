@@ -65,7 +65,7 @@ class MotorFit:
     """
 
     robot: str
-    """Name of the robot, as in a bundle's manifest and in `descriptions.DESCRIPTIONS`."""
+    """Name of the robot, as in a bundle's manifest and in its description."""
     motors: Mapping[str, MotorParameters]
     """Parameters by kind of joint (hip, thigh, calf), by joint of `interface.JOINTS`, or both."""
     evidence: Mapping[str, Any] = field(default_factory=dict)

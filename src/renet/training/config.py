@@ -10,7 +10,7 @@ from mjlab.rl import RslRlBaseRunnerCfg
 from renet.errors import RenetError
 from renet.interface import STEPS_PER_TICK
 from renet.models.config import ModelCfg
-from renet.tasks.robot_cfg import ACTION_CLIP
+from renet.tasks.entity import ACTION_CLIP
 from renet.tasks.schedule import Schedule, value_at
 from renet.training.precision import Precision
 
