@@ -13,8 +13,9 @@ from torch import Tensor, nn
 
 from renet import __version__
 from renet.bundle import write_bundle
-from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec, from_json
+from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec
 from renet.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
+from renet.conversion import from_json
 from renet.errors import RenetError
 from renet.interface import (
     HEADING_PROPRIOCEPTION,
@@ -153,7 +154,7 @@ def _provenance(state: dict[str, Any], cfg: ModelCfg) -> ProvenanceSpec:
         "date": date.today().isoformat(),
         "renet": __version__,
     }
-    return from_json(ProvenanceSpec, fields, "checkpoint")
+    return from_json(ProvenanceSpec, fields, "the checkpoint's state", "train anew")
 
 
 class ActorGraph(nn.Module):

@@ -15,8 +15,9 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from queue import Full, Queue
-from typing import Any, BinaryIO
+from typing import Annotated, Any, BinaryIO, TypedDict
 
+import msgspec
 import numpy as np
 
 from renet.deploy.cameras.base import DepthFrame
@@ -89,7 +90,23 @@ FREE, MAX_RATIO = 50 * MEGABYTE, 16
 """Bytes in memory, and more of them for each byte that was read; a run's own have about 2."""
 LONGEST = 1e6
 """Seconds from the first to the last tick."""
-TEXTS = ("bundle", "bundle_sha256", "robot", "selector", "terrain")
+Number = Annotated[float, msgspec.Meta(gt=-1e15, lt=1e15)]
+"""A number that a run may have written; NaN is none."""
+
+
+class Header(TypedDict, total=False):
+    """Entries of a header that readers rely on; there are others."""
+
+    bundle: str | None
+    bundle_sha256: str | None
+    robot: str | None
+    selector: str | None
+    terrain: str | None
+    beta: Number | None
+    level: Number | None
+    onsets: list[Number]
+    fault: list[str]
+    thresholds: dict[str, Number]
 
 
 class Recorder:
@@ -301,13 +318,13 @@ def read_recording(path: Path | str) -> Recording:
                 if unpacked > min(FREE + MAX_RATIO * file.tell(), MAX_FILE):
                     raise RenetError(f"the recording {path} unpacks to far more than its size")
                 if tag == HEADER:
-                    header = _header(parse_json(chunk, "header"))
+                    header = _header(chunk)
                 elif tag == TICKS:
                     ticks.append(np.frombuffer(chunk, TICK_DTYPE))
                 elif tag == IMAGES:
                     images |= _images(chunk)
                 elif tag == EVENTS:
-                    events += [_event(value) for value in parse_json(chunk, "events")]
+                    events += _events(chunk)
                 elif tag == POWER:
                     power.append(np.frombuffer(chunk, POWER_DTYPE))
                 complete = tag == END
@@ -345,33 +362,19 @@ def _images(chunk: bytes) -> dict[int, np.ndarray]:
     return {int(row): picture for row, picture in zip(rows, pictures, strict=True)}
 
 
-def _event(value: Any) -> Event:
-    event = Event(**value)
-    if not (_number(event.time) and isinstance(event.what, str) and isinstance(event.why, str)):
-        raise ValueError("an event is not made of a time and two texts")
-    return event
+def _events(chunk: bytes) -> list[Event]:
+    """Read a chunk of events; raises ValueError unless they are made of a time and two texts."""
+    events = msgspec.convert(parse_json(chunk, "events"), list[Event])
+    for event in events:
+        msgspec.convert(event.time, Number)
+    return events
 
 
-def _header(value: Any) -> dict[str, Any]:
-    """The header, its values of the types that readers rely on."""
-    if not isinstance(value, dict):
-        raise TypeError(f"its header is a {type(value).__name__}")
-    wrong = [name for name in TEXTS if not isinstance(value.get(name) or "", str)]
-    wrong += [name for name in ("beta", "level") if not _number(value.get(name) or 0.0)]
-    for name, fits in (("onsets", _number), ("fault", lambda item: isinstance(item, str))):
-        items = value.get(name, [])
-        if not isinstance(items, list) or not all(fits(item) for item in items):
-            wrong.append(name)
-    thresholds = value.get("thresholds", {})
-    if not isinstance(thresholds, dict) or not all(map(_number, thresholds.values())):
-        wrong.append("thresholds")
-    if wrong:
-        raise ValueError(f"the header's {wrong[0]!r} is of the wrong type")
+def _header(chunk: bytes) -> dict[str, Any]:
+    """Read the header; raises ValueError if what readers rely on is of another type."""
+    value = parse_json(chunk, "header")
+    msgspec.convert(value, Header)
     return value
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and abs(value) < 1e15
 
 
 def _check(ticks: np.ndarray, images: dict[int, np.ndarray], events: list[Event]) -> None:
