@@ -1,4 +1,4 @@
-"""What a robot's computer needs: NumPy, ONNX Runtime, tyro and rich, and nothing else."""
+"""What a robot's computer needs: NumPy, ONNX Runtime, msgspec, tyro and rich, and nothing else."""
 
 import shutil
 import subprocess
