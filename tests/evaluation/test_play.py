@@ -8,9 +8,9 @@ import pytest
 
 from renet.bundle import Bundle, pretrained
 from renet.errors import RenetError
+from renet.evaluation import painter
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
-from renet.evaluation.report import painter
 from renet.robots import GO1
 from renet.tasks import VISUAL_GO1
 
