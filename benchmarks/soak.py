@@ -255,7 +255,7 @@ def growth(memory: list[float]) -> float | None:
 
 def by_minute(run: Recording, memory: list, cpu_ms: np.ndarray, robot: ShakyRobot) -> list[dict]:
     """What the recording holds of each minute, beside the memory at its end."""
-    ticks, limits, rows = run.ticks, robot.envelope, []
+    ticks, limits, rows = run.ticks, robot.description, []
     half = (limits.upper - limits.lower) / 2
     share = np.abs((ticks["position"] - limits.lower - half) / half).max(axis=1)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)

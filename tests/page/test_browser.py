@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from renet.descriptions import GO2
 from renet.interface import LEGS, TRUNK
+from renet.robots import GO2
 from tests.browser import compare, open_browser, watch
 
 DESKTOP, PHONE = {"width": 1280, "height": 760}, {"width": 390, "height": 844}

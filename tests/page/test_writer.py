@@ -16,12 +16,12 @@ import pytest
 from renet import cli
 from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
 from renet.deploy.robots.sim.scene import build_scene
-from renet.descriptions import GO1, GO2
 from renet.errors import RenetError
 from renet.files import MEGABYTE
 from renet.interface import TRUNK
 from renet.page.contract import GROUNDS, contract
 from renet.page.writer import MARK, VENDOR, WEB, PageCfg, write_page
+from renet.robots import GO1, GO2
 from renet.sim.sensors import HeightMapCfg
 
 SHIPPED = pretrained("go1-parkour")

@@ -17,10 +17,10 @@ from renet.deploy.robots.sim.mujoco import SEEN_GROUPS
 from renet.deploy.robots.sim.scene import FLAT, scene_spec
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.steering import MAX_LEAD
-from renet.descriptions import RobotDescription, find_description
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
 from renet.palette import STATES
+from renet.robots import Robot, find_robot
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import COVERED, MONITORS, NEAR
@@ -105,7 +105,7 @@ def _fault(fault: type[Fault], title: str) -> dict[str, Any]:
 
 
 def _bundle(bundle: Bundle) -> dict[str, Any]:
-    robot, spec = find_description(bundle.manifest.robot.name), bundle.manifest.selector
+    robot, spec = find_robot(bundle.manifest.robot.name), bundle.manifest.selector
     remembers = spec.longest_memory > 0.0
     return {
         "name": bundle.name,
@@ -140,9 +140,7 @@ def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
     }
 
 
-def _ground(
-    robot: RobotDescription, terrain: str, title: str, level: int, done: str
-) -> dict[str, Any]:
+def _ground(robot: Robot, terrain: str, title: str, level: int, done: str) -> dict[str, Any]:
     spec, start = scene_spec(terrain, level, robot=robot)
     return {
         "name": terrain,

@@ -10,8 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Annotated, Any, BinaryIO, TypedDict
 
+import msgspec
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -50,8 +51,23 @@ FREE, MAX_RATIO = 50 * MEGABYTE, 300
 that lies still with a covered camera up to 140; zeros have thousands."""
 LONGEST = 1e6
 """Seconds from the first to the last tick."""
-TEXTS = ("bundle", "bundle_sha256", "robot", "selector", "terrain")
-"""Entries of the header that are texts, where it has them."""
+Number = Annotated[float, msgspec.Meta(gt=-1e15, lt=1e15)]
+"""A number that a run may have written; NaN is none."""
+
+
+class Header(TypedDict, total=False):
+    """Entries of a header that readers rely on; there are others."""
+
+    bundle: str | None
+    bundle_sha256: str | None
+    robot: str | None
+    selector: str | None
+    terrain: str | None
+    beta: Number | None
+    level: Number | None
+    onsets: list[Number]
+    fault: list[str]
+    thresholds: dict[str, Number]
 
 
 @dataclass(frozen=True)
@@ -265,25 +281,9 @@ def _timed(events: list[tuple[int, str, str]], now: np.ndarray) -> list[Event]:
 
 
 def _header(value: Any) -> dict[str, Any]:
-    """The header, its values of the types that readers rely on."""
-    if not isinstance(value, dict):
-        raise TypeError(f"its header is a {type(value).__name__}")
-    wrong = [name for name in TEXTS if not isinstance(value.get(name) or "", str)]
-    wrong += [name for name in ("beta", "level") if not _is_number(value.get(name) or 0.0)]
-    for name, fits in (("onsets", _is_number), ("fault", lambda item: isinstance(item, str))):
-        items = value.get(name, [])
-        if not isinstance(items, list) or not all(fits(item) for item in items):
-            wrong.append(name)
-    thresholds = value.get("thresholds", {})
-    if not isinstance(thresholds, dict) or not all(map(_is_number, thresholds.values())):
-        wrong.append("thresholds")
-    if wrong:
-        raise ValueError(f"the header's {wrong[0]!r} is of the wrong type")
+    """The header; raises ValueError if what readers rely on is of another type."""
+    msgspec.convert(value, Header)
     return value
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and abs(value) < 1e15
 
 
 def _check(ticks: np.ndarray, events: int) -> None:

@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real.braking import Link
 from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED
 from renet.deploy.robots.real.trouble import MotorTrouble
-from renet.descriptions import GO1
 from renet.errors import RenetError, install
 from renet.interface import ACTION_SIZE
+from renet.robots import GO1
 
 LOW_LEVEL = 0xFF
 SERVO = 0x0A
@@ -71,7 +70,7 @@ class Go1Link(Link):
         Raises:
             RenetError: no vendor's driver, or a local port that another program uses.
         """
-        super().__init__(read_envelope(GO1))
+        super().__init__(GO1)
         sdk = unitree()
         _require_free(local_port)
         self._udp = sdk.UDP(LOW_LEVEL, local_port, host, port)
