@@ -7,7 +7,6 @@ const TEXTURE_METRES = 2;
 /** Side of the ground that the texture covers once. */
 const FLOOR = 0xa9b58f;
 const JOINT = 0x8a9674;
-const HAZE = 0xe3ebee;
 const FAR = [8, 45];
 /** Metres from the eye at which haze begins and ends. */
 const WIDE = 5;
@@ -21,7 +20,11 @@ const SLABS = 24;
 const RAISED = 0.003;
 /** Metres of those lines above the ground. */
 
-export const FOG = () => new THREE.Fog(HAZE, ...FAR);
+/** Haze in the colour of the page's horizon, by day or in the dark. */
+export function haze() {
+  const colour = getComputedStyle(document.documentElement).getPropertyValue("--haze");
+  return new THREE.Fog(colour.trim(), ...FAR);
+}
 
 const top = ({ at, half }) => at[2] + half[2];
 const isWide = ({ half }) => Math.max(...half) >= WIDE;
