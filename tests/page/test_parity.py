@@ -15,6 +15,7 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import next_step
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
+from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.faults import parse_fault
 from renet.interface import proprioception_slices
@@ -42,7 +43,9 @@ def record(
     robot = MujocoRobot(model, bundle.manifest.robot, ground)
     sensor = SimCamera(robot, bundle.manifest.camera, seed=4)
     camera = FaultyCamera(sensor, [parse_fault(fault)], robot.now, 5)
-    controller = Controller(bundle, mode=mode)
+    # A robot that obeys another does not follow.
+    safety = SafetyCfg() if walker is None else SafetyCfg(least_torque=0.0)
+    controller = Controller(bundle, safety, mode=mode)
     walking = Controller(walker, mode=mode) if walker else None
     camera.start()
     due, shown, given, decided = robot.now(), None, [], []
