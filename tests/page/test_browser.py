@@ -169,7 +169,7 @@ def test_a_visitor_drives_all_round_by_keys(visit, twist_address, size):
     assert one.page.locator("#show").is_hidden()
     one.press("w", "ArrowUp")
     told_soon(one, "Math.abs(x - 0.8) < 1e-6 && y === 0")
-    assert one.page.text_content("#asked") == "0.80 m/s ahead"
+    one.until("document.querySelector('#asked').textContent === '0.80 m/s ahead'")
     for _ in range(20):
         one.press("s")
     told_soon(one, "Math.abs(x + 0.6) < 1e-6")
