@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measures the Go2's policy that ships: every number of docs/go2.md but those of the driver.
+# Measures the Go2's policy that ships: every number about the Go2 in docs/results.md.
 # Takes 80 minutes on one core; parts of studies that are done are not run again.
 set -euo pipefail
 cd "$(dirname "$0")/.."

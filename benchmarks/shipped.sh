@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measures the policy that ships: every number and figure of docs/pretrained.md and docs/memory.md.
+# Measures the policy that ships: every number and figure of docs/results.md and docs/memory.md.
 # Takes hours on one core; parts of studies that are done are not run again.
 set -euo pipefail
 cd "$(dirname "$0")/.."

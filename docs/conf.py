@@ -22,7 +22,7 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_title = f"renet {release}"
 exclude_patterns = ["_build"]
-myst_heading_anchors = 3
+myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "deflist"]
 # Docstrings quote code in single backticks, as Markdown does.
 default_role = "code"
@@ -54,7 +54,7 @@ def setup(app) -> None:
 
 
 def _show_page(_app, name: str, source: list[str]) -> None:
-    if name == "page":
+    if name == "start":
         source[0] = source[0].replace("<!-- the page -->", EMBEDDED)
 
 

@@ -2,7 +2,7 @@
 
 A robot, a depth camera and a pilot, in a loop of 50 Hz. The robot stands up and walks straight
 ahead while its camera goes black for a second, then its joints brake. `renet deploy` does the same
-and what a robot needs among people: limits, watchdogs, an operator, a recording (docs/runtime.md).
+and what a robot needs among people: limits, watchdogs, an operator, a recording (docs/deploy.md).
 With this file, keep a real robot on a hoist.
 """
 

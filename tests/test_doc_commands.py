@@ -1,6 +1,5 @@
 """Documents: commands run here or say what they take; links, files, tests and layers exist."""
 
-import ast
 import pydoc
 import re
 import shlex
@@ -12,11 +11,11 @@ import pytest
 from renet import cli
 
 ROOT = Path(__file__).parents[1]
-METHOD = "".join((ROOT / "docs" / f"{page}.md").read_text() for page in ("method", "choices"))
+ARCHITECTURE = (ROOT / "docs" / "how_it_works.md").read_text()
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 PROGRAM = re.compile(r"(nohup )?(renet|python \w+/\w+\.py) ")
-ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
-WALKS = [section for section in ARCHITECTURE.split("\n## ")[1:] if "\n1. " in section]
+WALKS = re.findall(r"```text\n(.*?)```", ARCHITECTURE, re.DOTALL)
+"""Ways through the code: a file on each line that begins with one."""
 QUICK = "renet bundle inspect"
 """The command that is run here; test_cli.py runs every command's --help."""
 EXAMPLES = (ROOT / "tests" / "test_examples.py").read_text()
@@ -93,54 +92,33 @@ def test_every_link_anchor_and_path_of_the_repository_leads_somewhere(page):
     assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
-def test_every_name_of_the_api_page_and_file_of_the_method_page_exists():
+def test_names_of_the_api_page_and_files_of_the_papers_parts_exist():
     page = (ROOT / "docs" / "api" / "index.md").read_text()
     names = re.findall(r"(?:`|:: )(renet\.[\w.]+)", page)
-    files = re.findall(r"`([a-z0-9_/]+\.py)`", METHOD)
+    files = re.findall(r"`([a-z0-9_/]+/[a-z0-9_]+\.py)`", ARCHITECTURE.split("## The paper")[1])
     assert len(names) > 20
     assert len(set(files)) > 25
     assert [name for name in names if pydoc.locate(name) is None] == []
     assert [file for file in files if not (ROOT / "src" / "renet" / file).is_file()] == []
 
 
-def defined_in(file: Path) -> set[str]:
-    tree = ast.parse(file.read_text())
-    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+def test_every_threat_is_met_by_tests_that_exist():
+    table = (ROOT / "docs" / "security.md").read_text().split("## Tests")[1]
+    rows = re.findall(r"^\| (?!threat)(.+?) \| (`.+) \|$", table, re.MULTILINE)
+    assert len(rows) > 15
+    for threat, tests in rows:
+        files = re.findall(r"`([^`]+\.py)`", tests)
+        missing = [file for file in files if not (ROOT / "tests" / file).is_file()]
+        assert files, threat
+        assert not missing, threat
 
 
-def test_every_test_the_method_page_names_exists():
-    """An ellipsis stands for the file before; a file without a name for all of it."""
-    named, file = set(), ""
-    pattern = r"`(…|[a-z0-9_/]*test_[a-z0-9_]+\.py)(?:::([a-z0-9_]+))?`"
-    for path, test in re.findall(pattern, METHOD):
-        file = file if path == "…" else path
-        named.add((file, test))
-    assert len(named) > 40
-    for file, test in named:
-        assert not test or test in defined_in(ROOT / "tests" / file), f"{file} has no {test}"
-
-
-def test_every_fault_is_closed_by_a_test_that_exists_or_a_reason():
-    page = (ROOT / "docs" / "security.md").read_text()
-    table = page.split("## Tests")[1].split("\n## ")[0]
-    closed_by = re.findall(r"^\| (?!\*\*|fault)(?:.* )?\| (.+) \|$", table, re.MULTILINE)
-    files = list((ROOT / "tests").rglob("test_*.py"))
-    existing = {str(file.relative_to(ROOT / "tests")) for file in files}
-    existing = existing.union(*map(defined_in, files))
-    reasons = [text for text in closed_by if text.strip("`") not in existing]
-    assert len(closed_by) > 110
-    assert len(reasons) <= 4
-    assert all(re.search(r"\]\(#[\w-]+\)$|^`\.ci/run`", reason) for reason in reasons), reasons
-
-
-@pytest.mark.parametrize("walk", WALKS, ids=lambda walk: walk.splitlines()[0])
-def test_a_walk_has_at_most_five_files_and_each_exists(walk):
-    steps = re.findall(r"^\d\. `([^`]+)`", walk, re.MULTILINE)
-    assert 3 <= len(steps) <= 5
-    assert len(steps) == len(re.findall(r"^\d\.", walk, re.MULTILINE))
-    missing = [step for step in steps if not (ROOT / step).is_file()]
+@pytest.mark.parametrize("walk", WALKS)
+def test_files_of_a_way_through_the_code_exist_and_are_few(walk):
+    files = re.findall(r"^((?:src|benchmarks|tools)/\S+)", walk, re.MULTILINE)
+    missing = [file for file in files if not (ROOT / file).exists()]
     assert not missing
-    assert len(WALKS) == 3
+    assert 3 <= len(files) <= 5
 
 
 def test_the_layers_are_those_that_ci_checks():

@@ -35,7 +35,7 @@ def visit(browser: Browser, name: str, size: dict[str, int]) -> Page:
     assert page.evaluate("[...document.images].every((one) => one.naturalWidth > 0)")
     assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
     # Read as a file, it cannot load the demo that is embedded in it.
-    assert complaints == [] or name == "page"
+    assert complaints == [] or name == "start"
     return page
 
 
@@ -57,7 +57,7 @@ def test_the_first_page_begins_with_a_picture(browser: Browser, size: str) -> No
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_architecture_looks_like_its_golden_picture(browser: Browser, size: str) -> None:
-    page = visit(browser, "architecture", SIZES[size])
-    compare(page.screenshot(), GOLDEN / f"architecture-{size}.png")
+def test_how_it_works_looks_like_its_golden_picture(browser: Browser, size: str) -> None:
+    page = visit(browser, "how_it_works", SIZES[size])
+    compare(page.screenshot(), GOLDEN / f"how_it_works-{size}.png")
     page.close()

@@ -1,6 +1,6 @@
 """Pictures of every tile, of the camera's errors, and of predicted beside true height maps.
 
-`python tools/pictures.py --out docs/figures/pictures` draws those of docs/method.md.
+`python tools/pictures.py --out docs/figures/pictures` draws those of docs/how_it_works.md.
 """
 
 import math

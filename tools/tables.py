@@ -26,15 +26,6 @@ from renet.evaluation.metrics import bootstrap_interval
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 GROUNDS = ("flat", "stairs_up", "stairs_down", "obstacles", "platform", "gap")
-MODES = {
-    "VP alone": "camera",
-    "VP on black images": "camera",
-    "RENet": "memory",
-    "OP alone": "blind",
-    "OP": "blind",
-    "switch that knows": "oracle",
-}
-"""Modes of the studies, by their name in the tables."""
 SWITCHES = (
     ("severity_5", "camera"),
     ("severity_5", "memory"),
@@ -74,14 +65,14 @@ def mean(study: str, mode: str, grounds: tuple[str, ...], measure: str = "crosse
 
 
 def crossed(label: str, study: str = "severity_5") -> list[str]:
-    """VP, RENet and OP under single faults, per cent, and RENet less VP, by ground."""
+    """Modes camera, memory and blind under single faults, per cent, by ground, and the lead."""
     grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
     means = [mean(study, mode, grounds) for mode in ("camera", "memory", "blind")]
     return [*means, ahead(study, grounds).replace("-", "−")]
 
 
 def ahead(study: str, grounds: tuple[str, ...]) -> str:
-    """Points that RENet crosses more than VP on some grounds, with the interval over robots."""
+    """Points that memory crosses more than camera on some grounds, with the 95 % interval."""
     vp, renet = (result(study)["by_robot"][mode] for mode in ("camera", "memory"))
     settings = [row["ground"] for row in result(study)["runs"] if row["mode"] == "camera"]
     gains = [np.subtract(renet[name]["crossed"], vp[name]["crossed"]) for name in grounds]
@@ -91,7 +82,7 @@ def ahead(study: str, grounds: tuple[str, ...]) -> str:
 
 
 def lead(study: str, mode: str) -> tuple[str, str]:
-    """Points that RENet crosses more in the 143 settings, and the 95 % interval over robots."""
+    """Points that memory crosses more in the 143 settings, and the 95 % interval over robots."""
     ours, theirs = result("severity_5")["by_robot"]["memory"], result(study)["by_robot"][mode]
     grounds = GROUNDS[1:]
     gains = [np.subtract(ours[name]["crossed"], theirs[name]["crossed"]) for name in grounds]
@@ -103,7 +94,7 @@ def lead(study: str, mode: str) -> tuple[str, str]:
 
 def switches(label: str) -> list[str]:
     """Every switch of the same two estimators at severity 5, per cent, by ground."""
-    if label in ("RENet's lead", "its interval"):
+    if label in ("lead of memory", "its interval"):
         return [lead(study, mode)[label == "its interval"] for study, mode in SWITCHES]
     grounds = GROUNDS[1:] if label.startswith("all") else (label.replace(" ", "_"),)
     measure = "upright" if label.endswith("upright") else "crossed"
@@ -118,7 +109,7 @@ def grass(label: str) -> list[str]:
 
 
 def standing(label: str) -> list[str]:
-    """How many stand still, with VP and with OP, on each ground of the label."""
+    """Robots that stand still, with VP and with OP, on each ground of the label."""
     still = {(run["kind"], run["mode"]): str(run["still"]) for run in result("standing")["runs"]}
     kinds = [kind.replace(" ", "_") for kind in label.split(", ")]
     return [", ".join(still[kind, mode] for kind in kinds) for mode in ("camera", "blind")]
@@ -149,11 +140,11 @@ def black(label: str, studies: tuple[str, ...] = ("blackout_on_the_way", "blacko
     """Who crosses with a black camera, from 1.5 s and from 0.5 s before the edge on."""
     counts = []
     for name in studies:
-        seconds = 0 if label in ("OP", "healthy camera") else 6
-        mode = MODES.get(label, "memory")
+        seconds = 0 if label in ("blind", "healthy camera") else 6
+        mode = "memory" if label == "healthy camera" else label
         runs = [r for r in result(name)["runs"] if (r["mode"], r["without_s"]) == (mode, seconds)]
         counts.append([str(run["crossed"]) for run in runs])
-    if label in ("OP", "healthy camera"):  # When the camera fails is nothing to them.
+    if label in ("blind", "healthy camera"):  # When the camera fails is nothing to them.
         return counts[0]
     return [" / ".join(pair) for pair in zip(*counts, strict=True)]
 
@@ -178,15 +169,15 @@ def go2(label: str) -> list[str]:
 
 
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
-    ("pretrained.md", "Obstacles"): one_try,
-    ("pretrained.md", "Single faults"): crossed,
-    ("pretrained.md", "Grass"): grass,
-    ("comparison.md", "At severity 5"): switches,
-    ("pretrained.md", "Standing"): standing,
+    ("results.md", "Obstacles"): one_try,
+    ("results.md", "Single faults"): crossed,
+    ("results.md", "Grass"): grass,
+    ("results.md", "Other switches"): switches,
+    ("results.md", "Standing"): standing,
     ("memory.md", "Measure it"): black,
-    ("go2.md", "What it can do"): go2,
-    ("go2.md", "When its camera fails"): partial(black, studies=("../go2/blackout",)),
-    ("go2.md", "Single faults"): partial(crossed, study="../go2/severity_5"),
+    ("results.md", "Go2, one try"): go2,
+    ("results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),
+    ("results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
     ("benchmark.md", "Results"): None,
     ("benchmark.md", "The kilometre"): kilometre,
     ("benchmark.md", "Where they fall"): sections,

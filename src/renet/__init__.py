@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,7 +14,10 @@ __version__ = "0.1.0"
 
 
 def load(
-    bundle: Path | str = "go1-parkour", robots: int = 1, mode: str | Sequence[str] = "memory"
+    bundle: Path | str = "go1-parkour",
+    robots: int = 1,
+    mode: str | Sequence[str] = "memory",
+    unseen: Literal["walk", "slow", "stop"] = "walk",
 ) -> Pilot:
     """Load the pilot of a bundle, which turns observations and depth images into joint targets.
 
@@ -23,12 +26,14 @@ def load(
             `hf://owner/name` on the Hugging Face Hub.
         robots: number of robots, N.
         mode: `memory`, `switch`, `camera` or `blind` for all robots, or a list of N.
+        unseen: what robots of the mode `memory` do at the end of the ground that they have seen:
+            `walk` on, `slow` down or `stop`.
 
     Raises:
-        RenetError: a bundle that cannot be used, no robot, or an unknown mode.
+        RenetError: a bundle that cannot be used, no robot, or an unknown mode or conduct.
     """
     # Late, so that `import renet` stays light.
     from renet.bundle import Bundle
     from renet.pilot import Pilot
 
-    return Pilot.of(Bundle.load(bundle), robots, mode)
+    return Pilot.of(Bundle.load(bundle), robots, mode, unseen=unseen)

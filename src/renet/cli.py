@@ -164,8 +164,9 @@ COMMANDS = {
         "renet.evaluation.studies.commands:CommandStudy:CommandStudy.main",
     ),
     "evaluate memory": _study(
-        "who crosses, against seconds without an image",
+        "who crosses, against seconds without an image; --preset reach: metres",
         "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",
+        presets={"reach": "renet.evaluation.studies.reach:ReachStudy"},
     ),
     "evaluate camera-use": _study(
         "whether and where a policy uses its camera",

@@ -20,6 +20,10 @@ PilotMode = Literal["memory", "switch", "camera", "blind"]
 of the ground. switch: the paper's switch, the reconstruction loss against beta, filtered. camera:
 VP always. blind: OP always."""
 
+Unseen = Literal["walk", "slow", "stop"]
+"""What a robot that remembers does at the end of the ground that it has seen. walk: it goes on, as
+told. slow: it goes on slowly. stop: it stands until it sees again, or is told another way."""
+
 LEGS = ("FR", "FL", "RR", "RL")
 JOINTS = tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf"))
 TRUNK = "trunk"

@@ -127,7 +127,7 @@ def test_the_shipped_bundle_is_the_one_its_results_name():
     results = (Path(__file__).parents[2] / "benchmarks" / "results" / "shipped").glob("*.json")
     named = [json.loads(path.read_text())["provenance"].get("bundle_hash") for path in results]
     assert {*named} - {None} == {Bundle.load().sha256}  # Those of version 1 have another form.
-    page = Path(__file__).parents[2] / "docs" / "pretrained.md"
+    page = Path(__file__).parents[2] / "docs" / "results.md"
     assert f"bundle {Bundle.load().sha256[:12]} is the one that ships" in page.read_text()
 
 

@@ -259,6 +259,30 @@ def test_a_lost_camera_costs_vision_within_its_age_limit_and_returns_after_the_d
     assert (run.events[-1].what, run.events[-1].why) == ("sees", "vision is healthy")
 
 
+@pytest.mark.parametrize(("unseen", "told"), [("walk", 0.6), ("stop", 0.0)])
+def test_the_end_of_seen_ground_is_told_once(judging, unseen, told):
+    run = Run(with_selector(judging, longest_memory=10.0), unseen=unseen)
+    asked = []
+    step = run.controller.policy.step
+
+    def walks(observation, *args):
+        asked.append(float(observation[0, 6]))
+        action = step(observation, *args)
+        run.controller.policy.velocity_vp = np.array([[0.6, 0.0, 0.0]], np.float32)
+        run.controller.policy.height_map = np.zeros_like(run.controller.policy.height_map)
+        return action
+
+    run.controller.policy.step = walks
+    run.ticks(60)
+    assert asked[-1] == pytest.approx(0.6)
+    last = frame(run.step, time_of(run.step))
+    run.ticks(120, lambda frame: last)
+    events = [event.why for event in run.events if event.what == "unseen"]
+    conduct = {"walk": "it walks on", "stop": "it stops"}[unseen]
+    assert events == [f"the ground ahead was never seen: {conduct}"]
+    assert asked[-1] == pytest.approx(told)
+
+
 @pytest.mark.parametrize(
     ("thresholds", "change", "reason"),
     [

@@ -1,4 +1,4 @@
-"""The page of single faults agrees with the study and with its faults."""
+"""The page about measuring agrees with the study and with its faults."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from renet.evaluation.studies.fault_metrics import robot_measures
 from renet.evaluation.trace import Trace
 from renet.faults import FAULTS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "faults.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "measure.md").read_text()
 
 
 def test_the_page_lists_every_fault_once() -> None:
@@ -27,7 +27,7 @@ def test_page_and_study_name_the_same_measures_grounds_and_onsets() -> None:
     measured = robot_measures(Trace.empty(5, 1), 1, 0.6, 5)
     assert named("| name | unit | of one robot |") == {*measured}
     assert named("| ground | level | why |") == {*fault_settings.GROUNDS}
-    assert named("| name | when |") == {*fault_settings.ONSETS.values()}
+    assert named("| name | onset |") == {*fault_settings.ONSETS.values()}
 
 
 @pytest.mark.parametrize(

@@ -237,8 +237,8 @@ class Ros2Cfg(TeleopCfg):
         """Raise RenetError for a topic or domain that cannot be, or without Cyclone DDS."""
         if find_spec("cyclonedds") is None:
             raise RenetError(
-                f"--teleop ros2 needs Cyclone DDS: {install('go2')} (docs/go2.md says what to do "
-                "on ARM)"
+                f"--teleop ros2 needs Cyclone DDS: {install('go2')} (docs/deploy.md says what to "
+                "do on ARM)"
             )
         from renet.deploy.ros2 import TOPIC, domain_of
 

@@ -20,7 +20,7 @@ from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCfg
 from renet.errors import RenetError, collected, demand_name, demand_none
 from renet.faults import Injection, parse_fault
-from renet.interface import CONTROL_DT, MAX_SPEED, PilotMode
+from renet.interface import CONTROL_DT, MAX_SPEED, PilotMode, Unseen
 
 ENTRY_POINTS = "renet.robots"
 """Group of entry points: modules of other packages, which add to the tables of `catalogue`."""
@@ -68,6 +68,9 @@ class DeployCfg:
     mode: PilotMode = "memory"
     """memory: all monitors, and the memory of the ground. switch: the paper's switch, by the
     reconstruction loss alone. camera: always on camera. blind: never."""
+    unseen: Unseen = "walk"
+    """In mode memory, at the end of the ground that the robot has seen before its camera failed.
+    walk: go on. slow: go on slowly. stop: stand until it sees again, or is told another way."""
     dry_run: bool = False
     """Go through all that a run needs, a line with its time for each, then print commands; the
     robot is never moved."""
@@ -201,6 +204,7 @@ class DeployCfg:
             **{k: v if isinstance(v, int | float | None) else str(v) for k, v in options},
             "safety": asdict(self.limits),
             "mode": self.mode,
+            "unseen": self.unseen,
             "robot": self.robot,
             "camera": self.camera,
             "teleop": self.teleop,

@@ -23,7 +23,7 @@ from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.deploy.watch.body import BodyWatch
 from renet.deploy.watch.leg_order import LegTest
 from renet.errors import RenetError
-from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
+from renet.interface import ACTION_SIZE, DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE, Unseen
 from renet.pilot import Pilot, Step
 from renet.pilot.inference import InlineInference
 from renet.pilot.policy import BundlePolicy
@@ -31,6 +31,7 @@ from renet.pilot.tick import Sessions
 from renet.selector.selector import REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
+CONDUCTS = {"walk": "it walks on", "slow": "it slows down", "stop": "it stops"}
 A_WHILE = 0.25
 """Seconds without an image from which an event tells of it: one late frame is no news."""
 
@@ -43,8 +44,8 @@ class Event:
     """Seconds on the robot's clock."""
     what: str
     """A mode of the safety machine, `refused` (to stand up, or to go where the policy cannot), a
-    state of the pilot (`sees`, `remembers` or `blind`), `inference`, or the device that has a
-    problem: `robot`, `camera`, `teleop`, `recorder`."""
+    state of the pilot (`sees`, `remembers` or `blind`), `unseen` (the ground ahead), `inference`,
+    or the device that has a problem: `robot`, `camera`, `teleop`, `recorder`."""
     why: str
 
 
@@ -96,6 +97,7 @@ class Controller:
         inference: Callable[[Sessions], InlineInference] = InlineInference,
         mode: str = "memory",
         on_event: Callable[[Event], None] = lambda event: None,
+        unseen: Unseen = "walk",
     ) -> None:
         """Set up in DAMPING.
 
@@ -105,12 +107,14 @@ class Controller:
             inference: makes what runs vision ticks: in line by default, which is deterministic.
             mode: of the pilot, see `interface.PilotMode`.
             on_event: told every transition with its reason.
+            unseen: what a robot that remembers does at the end of the ground that it has seen.
         """
         self.robot = bundle.manifest.robot
         self.cfg = safety
         _warm_up(bundle)
         self.policy = BundlePolicy(bundle, inference=inference)
-        self.pilot = Pilot.of(bundle, mode=mode, policy=self.policy)
+        self.pilot = Pilot.of(bundle, mode=mode, policy=self.policy, unseen=unseen)
+        self._conduct = unseen
         self.machine = SafetyMachine(safety)
         self._buffer = FrameBuffer()
         self._on_event = on_event
@@ -200,6 +204,7 @@ class Controller:
         self._told = (0.0, 0.0, 0.0)
         self._refused = False
         self._state = SEES
+        self._unseen = False
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
         self._told = self._steer(teleop, state, now)
@@ -216,6 +221,7 @@ class Controller:
         rate = rate_after(now - self.machine.since, self.cfg)
         command = self._limited(step.joint_target[0], state, rate)
         self._tell_state(step, now)
+        self._tell_unseen(bool(step.unseen[0]), now)
         return self._decide(command, now, step)
 
     def _steer(
@@ -241,6 +247,13 @@ class Controller:
         why = "vision is healthy" if state == SEES else self._buffer.problem or reason
         self.tell(now, state, why)
         self._state = state
+
+    def _tell_unseen(self, unseen: bool, now: float) -> None:
+        """Tell once when the robot comes to the end of the ground that it has seen."""
+        if unseen and not self._unseen:
+            self.tell(now, "unseen", f"the ground ahead was never seen: {CONDUCTS[self._conduct]}")
+        # Not again before it has seen, as at every turn of an operator who looks for a way.
+        self._unseen = unseen or (self._unseen and self._state != SEES)
 
     def _limited(self, target: np.ndarray, state: RobotState, rate: float) -> JointCommand:
         command = limited_command(target, self._target, state, self.robot, rate)

@@ -92,7 +92,7 @@ def deploy(cfg: DeployCfg) -> Path:
                 # Threads inherit the priority of the one that starts them: the loop waits for
                 # vision's, which must not be the weaker one.
                 inference = ThreadedInference if cfg.live else InlineInference
-                controller = Controller(bundle, cfg.limits, inference, cfg.mode, tell)
+                controller = Controller(bundle, cfg.limits, inference, cfg.mode, tell, cfg.unseen)
                 stack.callback(controller.close)
                 with interruptible() as interrupted, watchdog(close) as step:
                     begun = robot.now()

@@ -25,6 +25,7 @@ from renet.evaluation.rollout import (
     Trial,
     pilot_modes,
 )
+from renet.interface import Unseen
 from renet.motor_models import IDEAL, find_motors
 from renet.pilot import Pilot
 from renet.pilot.pilot import Selector
@@ -150,15 +151,21 @@ class Evaluator:
         """Make what robots of the mode `memory` or `switch` obey."""
         return make_selector(kind, self.bundle.manifest.selector, num_robots)
 
-    def make_pilot(self, modes: Sequence[str]) -> Pilot:
-        """Make the pilot of the policy under study, with the mode of each robot."""
+    def make_pilot(self, modes: Sequence[str], unseen: Unseen | Sequence[Unseen] = "walk") -> Pilot:
+        """Make the pilot of the policy under study, with the mode and the conduct of each robot."""
         robots = len(modes)
         policy = self.make_policy(robots)
         # Robots of other modes obey none, but their traces tell what `memory` would do.
         kinds = ["memory", "switch"] if "switch" in modes else ["memory"]
         selectors = {kind: self.make_selector(kind, robots) for kind in kinds}
-        return Pilot(policy, selectors, modes)
+        return Pilot(policy, selectors, modes, unseen, self.bundle.manifest.selector.reach)
 
-    def rollout(self, env: EvalEnv, trials: Sequence[Trial], seed: int) -> Rollout:
-        """Prepare a run of the policy under study; see `Rollout`."""
-        return Rollout(env, self.make_pilot(pilot_modes(trials)), trials, seed)
+    def rollout(
+        self,
+        env: EvalEnv,
+        trials: Sequence[Trial],
+        seed: int,
+        unseen: Unseen | Sequence[Unseen] = "walk",
+    ) -> Rollout:
+        """Prepare a run of the policy under study; see `Rollout` and, for `unseen`, `Pilot`."""
+        return Rollout(env, self.make_pilot(pilot_modes(trials), unseen), trials, seed)

@@ -112,7 +112,7 @@ def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[i
             f"{path} has {', '.join(f'{name} {shape}' for name, shape in present.items())}; a study"
             " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
             " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
-            " model needs in the policy's `step` (docs/evaluation.md, Your own policy)"
+            " model needs in the policy's `step` (docs/measure.md, Your own policy)"
         )
 
 

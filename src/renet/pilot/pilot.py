@@ -26,14 +26,28 @@ import numpy as np
 
 from renet.bundle import Bundle
 from renet.errors import RenetError, demand_name
-from renet.interface import DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK, PilotMode
+from renet.interface import (
+    DEPTH_SHAPE,
+    HEIGHT_MAP_X,
+    PROPRIOCEPTION,
+    PROPRIOCEPTION_SIZE,
+    STEPS_PER_TICK,
+    PilotMode,
+    Unseen,
+    proprioception_slices,
+)
 from renet.pilot.images import ImageHolder, Images
 from renet.pilot.policy import BundlePolicy, Policy, checked, checked_depth
+from renet.pilot.reach import MARGIN, SPEEDS, UNSEEN, Reach, can_stop, direction_of, slowed
 from renet.selector import make_selector
 from renet.selector.monitors import Gate, SelectorInput
 from renet.selector.selector import BLIND, SEES, SELECTORS
 
 PILOT_MODES = get_args(PilotMode)
+COMMAND = proprioception_slices()["command"]
+TURN_RATE = proprioception_slices()["base_angular_velocity"].stop - 1
+"""Place of the base's turn rate in an observation."""
+TURN_RATE_SCALE = PROPRIOCEPTION[0].scale
 NO_NUMBERS = "what the VP estimator found is not finite"
 
 
@@ -51,6 +65,8 @@ class Step:
     """[N] `sees`, `remembers` (VP drives without images) or `blind` (OP drives), from now on."""
     reason: np.ndarray
     """[N] objection of the first monitor since the robot saw, in words; empty while it sees."""
+    unseen: np.ndarray
+    """[N] bool: the ground that the robot is told to walk on next lies beyond what it has seen."""
     inferred: bool
     """The result of a tick of vision was taken over in this step."""
     fallback: bool
@@ -84,7 +100,12 @@ class Pilot:
     """Drives N robots, each in its mode, with one policy."""
 
     def __init__(
-        self, policy: Policy, selectors: Mapping[str, Selector], modes: Sequence[str]
+        self,
+        policy: Policy,
+        selectors: Mapping[str, Selector],
+        modes: Sequence[str],
+        unseen: Unseen | Sequence[Unseen] = "walk",
+        reach: float = max(HEIGHT_MAP_X),
     ) -> None:
         """Combine a policy and selectors.
 
@@ -93,9 +114,12 @@ class Pilot:
             selectors: of N robots, by the mode that obeys it, `memory` or `switch`. Robots of the
                 other modes obey none; in `probability` and `trusted` they have those of `memory`.
             modes: of each robot, one of `PILOT_MODES`.
+            unseen: what robots of the mode `memory` do at the end of the ground that they have
+                seen, one of `UNSEEN` for all robots, or N of them.
+            reach: distance ahead of the base up to which VP remembers its last image, m.
 
         Raises:
-            RenetError: unknown mode.
+            RenetError: unknown mode or conduct.
         """
         for mode in dict.fromkeys(modes):
             demand_name("mode", mode, PILOT_MODES)
@@ -117,6 +141,14 @@ class Pilot:
         """Whether an image has arrived since the newest tick, [N]."""
         self._camera = ImageHolder(robots)
         self._steps = 0
+        conducts = [unseen] * robots if isinstance(unseen, str) else list(unseen)
+        for conduct in dict.fromkeys(conducts):
+            demand_name("unseen", conduct, UNSEEN)
+        self._fastest = np.array([SPEEDS[conduct] for conduct in conducts])
+        """Fastest walk towards unseen ground, [N] m/s."""
+        self.reach = Reach(robots, reach)
+        self.unseen = np.zeros(robots, bool)
+        """Whether the ground ahead of a robot lies beyond what it has seen, [N]."""
 
     @classmethod
     def of(
@@ -125,6 +157,7 @@ class Pilot:
         robots: int = 1,
         mode: str | Sequence[str] = "memory",
         policy: BundlePolicy | None = None,
+        unseen: Unseen = "walk",
     ) -> Self:
         """A pilot with the selectors of a bundle.
 
@@ -133,9 +166,11 @@ class Pilot:
             robots: number of robots, N.
             mode: one of `PILOT_MODES` for all robots, or N of them.
             policy: of the bundle for N robots; by default one whose ticks run in line.
+            unseen: what robots of the mode `memory` do at the end of the ground that they have
+                seen: `walk` on, `slow` down or `stop`.
 
         Raises:
-            RenetError: no robot, unknown mode, or another number of modes than of robots.
+            RenetError: no robot, an unknown mode or conduct, or not as many modes as robots.
         """
         if robots < 1:
             raise RenetError(f"robots must be at least 1, got {robots}")
@@ -145,7 +180,8 @@ class Pilot:
         needed = [kind for kind in SELECTORS if kind in modes] or ["memory"]
         spec = bundle.manifest.selector
         selectors = {kind: make_selector(kind, spec, robots) for kind in needed}
-        return cls(policy or BundlePolicy(bundle, robots), selectors, modes)
+        policy = policy or BundlePolicy(bundle, robots)
+        return cls(policy, selectors, modes, unseen, spec.reach)
 
     def step(self, observation: np.ndarray, image: np.ndarray | Images | None, now: float) -> Step:
         """One control step, every 0.02 s, with the policy of a bundle.
@@ -172,6 +208,7 @@ class Pilot:
             vision=self.vision,
             state=self._state(images),
             reason=np.where(self._obeys, self._obeyed("reason"), ""),
+            unseen=self.unseen,
             inferred=policy.inferred,
             fallback=tick and policy.fallback,
         )
@@ -190,6 +227,8 @@ class Pilot:
         robots = np.ones(self.num_robots, bool) if mask is None else np.asarray(mask, bool)
         self.trusted = self.trusted | robots
         self._arrived = self._arrived & ~robots
+        self.reach.reset(robots)
+        self.unseen = self.unseen & ~robots
 
     @property
     def due(self) -> bool:
@@ -227,6 +266,7 @@ class Pilot:
             vision = vision & ~distrusted
         self._steps += 1
         policy: Any = self.policy
+        observation = self._heed_unseen(observation)
         gated = () if gate is None else (gate,)
         action = policy.step(observation, images.image, ~vision, *gated)
         # Where VP found no numbers, the policy has let OP drive.
@@ -265,6 +305,33 @@ class Pilot:
             has_image=getattr(policy, "has_image", zero == 0.0),
             map_error=getattr(policy, "map_error", zero),
         )
+
+    def _heed_unseen(self, observation: np.ndarray) -> np.ndarray:
+        """Slow down or stop robots before ground that they have not seen.
+
+        Args:
+            observation: o_t, [N, 45].
+
+        Returns:
+            o_t with the commands that the policy is told, [N, 45].
+        """
+        manifest = getattr(self.policy, "manifest", None)
+        if manifest is None or not hasattr(self.policy, "has_image"):
+            # Policies of others do not say what they remember.
+            return observation
+        policy: Any = self.policy
+        self.reach.move(policy.velocity_vp[:, :2], observation[:, TURN_RATE] / TURN_RATE_SCALE)
+        self.reach.reset(policy.has_image | (self.modes != "memory"))
+        command = observation[:, COMMAND]
+        way = direction_of(command, manifest.told)
+        ahead = self.reach.ahead(way)
+        self.unseen = ahead < MARGIN
+        if not self.unseen.any() or np.isinf(self._fastest).all():
+            return observation
+        limit = np.where(can_stop(ahead, policy.height_map), self._fastest, np.inf)
+        observation = observation.copy()
+        observation[:, COMMAND] = slowed(command, manifest.told, limit)
+        return observation
 
     def _hold(self, image: np.ndarray | None, now: float) -> Images:
         """Check and keep images [N, 48, 64] that have just been taken, if there are any."""

@@ -230,7 +230,7 @@ class Stairs(Tile):
 
 
 LANDING = 0.6
-"""Smallest width of the ground outside the last gap, m."""
+"""Smallest width of the ground outside the last of several gaps, m."""
 
 
 @dataclass
@@ -243,13 +243,15 @@ class Gap(Tile):
     """Half-width of the island, m."""
     ground: float | None = None
     """Width of the ground between two gaps, m; None: a single gap."""
+    landing: float = LANDING
+    """Smallest width of the ground outside the last gap, m."""
     depth: float = 1.0
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the island and the ground outside each gap; the start is at height 0."""
         builder.square(self.island, (-self.depth, 0.0))
         inner = self.island + measure
-        while self.ground is not None and inner + self.ground + measure + LANDING <= TILE / 2:
+        while self.ground is not None and inner + self.ground + measure + self.landing <= TILE / 2:
             builder.ring(inner, inner + self.ground, (-self.depth, 0.0))
             inner += self.ground + measure
         builder.ring(inner, TILE / 2, (-self.depth, 0.0))

@@ -1,7 +1,7 @@
 """The recipe: how ours departs from the paper's task and the paper's agent, and why.
 
-Nobody has run the paper's 1.5 billion steps. What both share is in docs/method.md. What changes
-during training does so over five phases, `PHASES`; docs/training.md has them in one table.
+Nobody has run the paper's 1.5 billion steps. What both share is in docs/how_it_works.md. What
+changes during training does so over five phases, `PHASES`; docs/train.md has them in one table.
 """
 
 from typing import Any, cast

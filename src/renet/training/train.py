@@ -50,7 +50,7 @@ class TrainCfg(TrainOptions):
 
     A task is registered with both its configurations, `--agent` and `--env`; options are those of
     mjlab's `train`, which trains the same. `training/recipe.py` says how ours depart from the
-    paper's. Several GPUs: torchrun or Slurm start a process for each (docs/training.md).
+    paper's. Several GPUs: torchrun or Slurm start a process for each (docs/train.md).
     """
 
     agent: RenetRunnerCfg

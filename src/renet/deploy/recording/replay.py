@@ -52,10 +52,13 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
         )
     inference = ScriptedInference(bundle.sessions, run.ticks)
     try:
-        safety, mode = SafetyCfg(**run.header["safety"]), run.header["mode"]
+        safety = SafetyCfg(**run.header["safety"])
+        mode = run.header["mode"]
     except (KeyError, TypeError) as error:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
-    controller = Controller(bundle, safety, lambda sessions: inference, mode)
+    # Recordings of before had no choice.
+    unseen = run.header.get("unseen", "walk")
+    controller = Controller(bundle, safety, lambda sessions: inference, mode, unseen=unseen)
     image = UNREADABLE
     # What came from outside the controller's inputs.
     outside = (REFUSED, EXHAUSTED)

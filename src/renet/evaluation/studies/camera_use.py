@@ -1,7 +1,7 @@
 """The camera-use study: whether a policy looks at its camera, on which ground, and what it gains.
 
 Twins differ in nothing but the images they are shown. If the camera does not matter, they walk the
-same way to the centimetre. The policy may be anybody's (docs/evaluation.md, Your own policy).
+same way to the centimetre. The policy may be anybody's (docs/measure.md, Your own policy).
 """
 
 from __future__ import annotations

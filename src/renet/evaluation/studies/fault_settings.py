@@ -1,4 +1,4 @@
-"""Settings of the study of single faults: grounds, onsets and faults (docs/faults.md)."""
+"""Settings of the study of single faults: grounds, onsets and faults (docs/measure.md)."""
 
 from typing import NamedTuple
 

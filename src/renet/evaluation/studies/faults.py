@@ -1,4 +1,4 @@
-"""The fault study: every camera fault on every ground, in every mode (docs/faults.md).
+"""The fault study: every camera fault on every ground, in every mode (docs/measure.md).
 
 Faults begin on the way to an obstacle and half a second before its edge, and end before the run
 does, so that leaving vision and returning to it are both measured. One fault is one batch of
@@ -60,7 +60,7 @@ class FaultStudy(WalkingStudy):
     grounds: tuple[Terrain, ...] = tuple(GROUNDS)
     """Flat ground alone is endless; beside others it is a tile like theirs."""
     level: int | None = None
-    """Level of all tiles, 1 to 10; by default one for each ground (docs/faults.md)."""
+    """Level of all tiles, 1 to 10; by default one for each ground (docs/measure.md)."""
     onsets: tuple[float, ...] = tuple(ONSETS)
     """Seconds at which faults begin; on flat ground only the first."""
     lasts: float = 4.0

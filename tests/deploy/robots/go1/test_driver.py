@@ -165,7 +165,7 @@ def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
 
 
 def test_a_dry_run_tells_what_moves(served, dry_run, tmp_path, capsys, monkeypatch):
-    """The joint-order check of docs/robot.md: a robot that sinks moves its own joints."""
+    """The joint-order check of docs/deploy.md: a robot that sinks moves its own joints."""
     gravity, look = served.robot.model.opt.gravity, JointWatch.look
     gravity[2] = -0.01  # Something must always move: a sensor trembles.
 

@@ -12,7 +12,7 @@ def demand_dds() -> None:
     """Raise RenetError unless Cyclone DDS is installed."""
     if find_spec("cyclonedds") is None:
         raise RenetError(
-            f"the Go2 needs Cyclone DDS: {install('go2')} (docs/go2.md says what to do on ARM)"
+            f"the Go2 needs Cyclone DDS: {install('go2')} (docs/deploy.md says what to do on ARM)"
         )
 
 

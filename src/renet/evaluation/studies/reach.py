@@ -1,0 +1,180 @@
+"""The memory study's preset `reach`: how far memory reaches, and what happens beyond.
+
+The camera dies at some distance before a gap. Nearer ones are remembered; farther ones were never
+seen, or are forgotten. A second scene has two gaps in a row, the second of which nobody has seen
+when the camera dies. At the end of the ground that it has seen a robot walks on, slows down or
+stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from renet.errors import RenetError, demand_name
+from renet.evaluation import figures, metrics
+from renet.evaluation.results import grouped
+from renet.evaluation.rollout import Trial
+from renet.evaluation.studies.memory import DEAD
+from renet.evaluation.study import Figures, Part, Table, WalkingStudy
+from renet.faults import Injection
+from renet.interface import CONTROL_DT, Unseen
+from renet.pilot.reach import UNSEEN
+from renet.terrain.tiles import TILE, Gap, Tile
+
+if TYPE_CHECKING:
+    from renet.evaluation.evaluator import Evaluator
+
+COLOURS = {"healthy": "#1b9e77", "walk": "#d95f02", "slow": "#7570b3", "stop": "#1f78b4"}
+"""Of a healthy camera, and of each conduct after its death."""
+RUN_UP = 0.5
+"""Walk with a healthy camera before it dies, m."""
+PAIR_AT = 0.8
+"""Distance before the first of two gaps at which the camera dies, m."""
+LAST_GROUND = 0.3
+"""Least width of the ground beyond the last gap, m."""
+
+
+@dataclass(frozen=True)
+class ReachStudy(WalkingStudy):
+    """Which gaps robots cross whose cameras die at a distance, and where they stop."""
+
+    out: Path = Path("results/reach")
+    """Folder for summary.json, summary.csv, reach.png and parts/."""
+    gap: float = 0.37
+    """Width of the single gap, m."""
+    metres: tuple[float, ...] = (0.4, 0.8, 1.1, 1.35, 1.6, 2.0)
+    """Distances before the gap's edge at which the camera dies, m."""
+    pair: float = 0.57
+    """Width of each of two gaps in a row, m; the camera dies 0.8 m before the first."""
+    between: float = 1.2
+    """Ground between the two, m."""
+    unseen: tuple[Unseen, ...] = UNSEEN
+    """What robots do at the end of the ground that they have seen."""
+    robots: int = 40
+    """Robots in each setting; with `quick` always fewer."""
+    seconds: float = 12.0
+    """Time to leave the tile."""
+
+    name: ClassVar[str] = "reach"
+    quick_robots: ClassVar[int] = 6
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for conduct in self.unseen:
+            demand_name("unseen", conduct, UNSEEN)
+        if not self.unseen or not self.metres:
+            raise RenetError("give at least one distance in metres and one conduct in unseen")
+        if not all(metres > 0.0 for metres in self.metres):
+            raise RenetError(f"metres {self.metres}: give distances above 0 m")
+        for gap in (single_gap(self.gap, max(self.metres)), self.two_gaps):
+            edge = gap.island + gap.high + (0.0 if gap.ground is None else gap.ground + gap.high)
+            if not gap.high > 0.0 or edge + LAST_GROUND > TILE / 2:
+                raise RenetError(
+                    f"gaps of {gap.high:g} m and the way to them do not fit into {TILE / 2:g} m"
+                )
+
+    @property
+    def two_gaps(self) -> Gap:
+        """The tile of two gaps in a row."""
+        gap = single_gap(self.pair, PAIR_AT)
+        return replace(gap, ground=self.between, landing=LAST_GROUND)
+
+    @property
+    def onset(self) -> int:
+        """Control step at which the camera dies, if robots walk as fast as they are told."""
+        return round(RUN_UP / self.speed / CONTROL_DT)
+
+    def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
+        """One batch for each distance, and one for the two gaps."""
+        scenes = {
+            f"gap_{metres:g}": (single_gap(self.gap, metres), metres) for metres in self.metres
+        }
+        scenes["two_gaps"] = (self.two_gaps, PAIR_AT)
+        return {
+            name: partial(self._walk, evaluator, name, gap, metres)
+            for name, (gap, metres) in scenes.items()
+        }
+
+    def _walk(self, evaluator: Evaluator, name: str, gap: Gap, metres: float) -> Part:
+        """Walk with each conduct at one scene, and with a healthy camera."""
+        from renet.tasks.parkour_env_cfg import tile_env_cfg
+        from renet.tasks.terrains import UNSEEN as UNSEEN_TILES
+        from renet.tasks.terrains import parkour_terrain
+
+        kinds: dict[str, Tile] = {"gap": gap}
+        cfg = tile_env_cfg(
+            parkour_terrain(UNSEEN_TILES, kinds, levels=1), play=True, robot=evaluator.robot
+        )
+        evaluator.set_conditions(cfg)
+        each = self.robots_each
+        dead = (Injection.of(*DEAD, self.onset, self.seconds),)
+        schedules = [(), *(dead for _ in self.unseen)]
+        trials = [Trial("memory", x, robot) for x in schedules for robot in range(each)]
+        conducts: list[Unseen] = ["walk", *self.unseen]
+        env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
+        unseen: list[Unseen] = [conduct for conduct in conducts for _ in range(each)]
+        rollout = evaluator.rollout(env, trials, self.seed, unseen)
+        trace = rollout.run(round(self.seconds / CONTROL_DT), name, retire=True)
+        runs = []
+        labels = ["healthy", *self.unseen]
+        for label, group in zip(labels, trace.groups(each), strict=True):
+            crossed, fell, _ = group.first_try()
+            from_edge = gap.island - group.travelled[self.onset]
+
+            row = {"scene": "two gaps" if name == "two_gaps" else "gap", "unseen": label}
+            row |= {"gap_m": gap.high, "metres": metres, "measured_m": float(from_edge.mean())}
+            row |= {"robots": each, "crossed": int(crossed.sum()), "fell": int(fell.sum())}
+            row |= {"stood": int((~crossed & ~fell).sum())}
+            row |= {"crossed_rate": float(crossed.mean()), "fell_rate": float(fell.mean())}
+            row |= metrics.with_share_interval("crossed", crossed)
+            row |= metrics.with_share_interval("fell", fell)
+            runs.append(row | {"seed": self.seed})
+        return {"runs": runs}
+
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """The rows."""
+        return {"runs": [run for part in parts.values() for run in part["runs"]]}
+
+    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
+        """reach.png: what crosses, and what falls, against the distance at which cameras die."""
+        figure, axes = plt.subplots(1, 2, figsize=(7.6, 3.0), sharey=True, squeeze=False)
+        single = [run for run in summary["runs"] if run["scene"] == "gap"]
+        for axis, share in zip(axes[0], ("crossed", "fell"), strict=True):
+            for number, ((conduct,), runs) in enumerate(grouped(single, "unseen").items()):
+                # Side by side, or equal shares would hide each other.
+                x = [run["measured_m"] + 0.012 * number for run in runs]
+                rate, low, high = (
+                    np.array([100 * run[f"{share}_{end}"] for run in runs])
+                    for end in ("rate", "ci95_low", "ci95_high")
+                )
+                interval = np.abs(np.stack((low, high)) - rate)
+                axis.errorbar(
+                    x, rate, interval, fmt="o-", color=COLOURS[conduct], label=conduct, markersize=4
+                )
+            axis.set_title(f"{share}, gap of {100 * self.gap:.0f} cm", fontsize=9)
+            axis.set_xlabel("metres from the camera's death to the edge")
+        axes[0][0].set_ylabel("robots (%)")
+        axes[0][0].set_ylim(-4, 104)
+        figures.legend(figure, axes[0][0])
+        return {"reach.png": figure}
+
+    def tables(self, summary: dict[str, Any]) -> list[Table]:
+        """Counts by scene, distance and conduct."""
+        header = ("scene", "dead at (m)", "at the end", "crossed", "fell", "stood")
+        rows = []
+        for run in summary["runs"]:
+            counts = (str(run[name]) for name in ("crossed", "fell", "stood"))
+            rows.append((run["scene"], f"{run['measured_m']:.2f}", run["unseen"], *counts))
+        return [(f"Cameras that die before a gap, {self.robots_each} robots each", header, rows)]
+
+
+def single_gap(width: float, metres: float) -> Gap:
+    """A tile with one gap whose edge is `metres` beyond the run-up, m."""
+    return Gap(low=width, high=width, island=RUN_UP + metres)

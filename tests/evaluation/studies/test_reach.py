@@ -1,0 +1,40 @@
+"""Robots whose cameras die before a gap, in a built scene, and settings that are refused."""
+
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.studies.reach import ReachStudy
+from renet.terrain.tiles import TILE
+
+
+def test_a_robot_that_stops_does_not_fall_into_a_gap_it_never_saw(tmp_path):
+    study = ReachStudy(tmp_path, robots=4, metres=(1.35,), unseen=("walk", "stop"), seconds=7.0)
+    runs = {run["unseen"]: run for run in study.run()["runs"] if run["scene"] == "gap"}
+    assert runs["healthy"]["crossed"] == 4
+    assert runs["walk"]["fell"] >= 3
+    assert runs["stop"]["fell"] <= 1
+    for run in runs.values():
+        assert run["crossed"] + run["fell"] + run["stood"] == 4
+        assert run["measured_m"] == pytest.approx(1.35, abs=0.1)
+    assert (tmp_path / "reach.png").stat().st_size > 10_000
+
+
+def test_both_gaps_fit_on_the_tile():
+    gap = ReachStudy().two_gaps
+    assert gap.ground is not None
+    outer = gap.island + 2 * gap.high + gap.ground
+    assert outer + gap.landing <= TILE / 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"unseen": ("fly",)}, "unseen"),
+        ({"metres": ()}, "at least one"),
+        ({"metres": (0.0,)}, "above 0"),
+        ({"metres": (3.5,)}, "do not fit"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, message):
+    with pytest.raises(RenetError, match=message):
+        ReachStudy(**settings)

@@ -1,0 +1,134 @@
+"""The end of seen ground by hand-computed walks, and what a pilot's robots do there."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import renet
+from renet.errors import RenetError
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.pilot.reach import HALF_WIDTH, MARGIN, Reach, direction_of, slowed
+
+WALKS = np.load(Path(__file__).with_name("data") / "walks.npz")
+"""Recorded walks, see test_pilot."""
+AHEAD = np.array([[1.0, 0.0]])
+
+
+def walk(reach: Reach, seconds: float, velocity=(0.0, 0.0), turn_rate=0.0) -> None:
+    for _ in range(round(seconds / CONTROL_DT)):
+        reach.move(np.array([velocity]), np.array([turn_rate]))
+
+
+def test_what_lies_ahead_shrinks_by_the_way_walked():
+    reach = Reach(1, distance=1.2)
+    assert reach.ahead(AHEAD) == pytest.approx(1.2)
+    walk(reach, 1.0, (0.5, 0.0))
+    assert reach.ahead(AHEAD) == pytest.approx(0.7)
+
+
+def test_an_image_shows_new_ground():
+    reach = Reach(2, distance=1.2)
+    for _ in range(50):
+        reach.move(np.full((2, 2), (0.5, 0.0)), np.zeros(2))
+    reach.reset(np.array([False, True]))
+    np.testing.assert_allclose(reach.ahead(np.tile(AHEAD, (2, 1))), [0.7, 1.2])
+
+
+def test_a_turn_by_a_right_angle_leads_to_the_side():
+    reach = Reach(1, distance=1.2)
+    walk(reach, 1.0, (0.4, 0.0))
+    walk(reach, 1.0, turn_rate=math.pi / 2)
+    assert reach.ahead(AHEAD) == pytest.approx(HALF_WIDTH, abs=1e-6)
+    walk(reach, 1.0, (0.25, 0.0))
+    assert reach.ahead(AHEAD) == pytest.approx(HALF_WIDTH - 0.25, abs=1e-6)
+
+
+def test_the_way_back_has_been_walked():
+    reach = Reach(1, distance=1.2)
+    walk(reach, 2.0, (0.5, 0.0))
+    assert reach.ahead(-AHEAD) == np.inf
+    assert reach.ahead(np.zeros((1, 2))) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("told", "command", "expected"),
+    [
+        ("heading", (0.6, 0.5, 0.8), (1.0, 0.0)),
+        ("heading", (0.0, 0.5, 0.8), (0.0, 0.0)),
+        ("twist", (0.3, -0.4, 1.0), (0.6, -0.8)),
+        ("twist", (0.0, 0.0, 1.0), (0.0, 0.0)),
+    ],
+)
+def test_the_way_that_a_command_asks_for(told, command, expected):
+    np.testing.assert_allclose(direction_of(np.array([command]), told), [expected])
+
+
+def test_a_slowed_twist_keeps_its_direction_and_turn():
+    fast = np.array([[0.6, -0.8, 0.7], [0.1, 0.0, 0.7]])
+    np.testing.assert_allclose(
+        slowed(fast, "twist", np.array([0.5, 0.5])), [[0.3, -0.4, 0.7], [0.1, 0.0, 0.7]]
+    )
+    np.testing.assert_allclose(
+        slowed(fast, "heading", np.array([0.0, np.inf])), [[0.0, -0.8, 0.7], [0.1, 0.0, 0.7]]
+    )
+
+
+class Told:
+    """Keeps the commands that a policy is told; knows how fast it walks."""
+
+    def __init__(self, pilot, velocity: float) -> None:
+        self.commands = []
+        self._policy = pilot.policy
+        self._step = self._policy.step
+        self._velocity = velocity
+        self._policy.step = self.step
+
+    def step(self, observation, *args):
+        action = self._step(observation, *args)
+        self.commands.append(observation[:, 6:9].copy())
+        self._policy.velocity_vp = np.full_like(self._policy.velocity_vp, (self._velocity, 0, 0))
+        return action
+
+
+def commanded(conduct: Any, mode: str = "memory") -> tuple[np.ndarray, np.ndarray]:
+    """Speeds told, and whether the ground ahead was unseen, of a camera that dies after 1 s."""
+    pilot = renet.load("go1-parkour", mode=mode, unseen=conduct)
+    told = Told(pilot, velocity=0.5)
+    unseen = []
+    for step in range(200):
+        # The recorded camera is healthy for two seconds.
+        observation = WALKS["memory_observation"][min(step, 99)][None].copy()
+        observation[:, 2] = 0.0
+        observation[:, 6:9] = (0.5, 0.0, 1.0)
+        image = None
+        if step < 50 and step % STEPS_PER_TICK == 0:
+            image = WALKS["memory_images"][step // STEPS_PER_TICK][None].astype(np.float32) / 255
+        pilot.step(observation, image, step * CONTROL_DT)
+        unseen.append(bool(pilot.unseen[0]))
+    return np.concatenate(told.commands)[:, 0], np.array(unseen)
+
+
+@pytest.mark.parametrize(("conduct", "speed"), [("walk", 0.5), ("slow", 0.3), ("stop", 0.0)])
+def test_conduct_at_the_end_of_seen_ground(conduct, speed):
+    speeds, unseen = commanded(conduct)
+    first = int(np.argmax(unseen))
+    walked = 0.5 * (first - 50) * CONTROL_DT
+    assert unseen.any()
+    # Memory reaches 1.2 m.
+    assert 1.2 - MARGIN - 0.1 <= walked <= 1.2 - MARGIN + 0.15
+    assert (speeds[:first] == 0.5).all()
+    assert speeds[first:] == pytest.approx(speed)
+
+
+def test_robots_without_memory_go_on():
+    speeds, unseen = commanded("stop", mode="camera")
+    assert (speeds == 0.5).all()
+    assert not unseen.any()
+
+
+def test_an_unknown_conduct_is_refused():
+    with pytest.raises(RenetError, match="unseen"):
+        renet.load("go1-parkour", unseen="fly")  # type: ignore[arg-type]
