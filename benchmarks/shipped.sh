@@ -15,6 +15,7 @@ study dawn terrain --preset dawn
 study terrain terrain --modes camera memory
 study standing terrain --preset standing
 study memory memory
+study reach memory --preset reach --robots 30
 grounds="gap:3 platform:6 stairs_up:6 stairs_down:10 obstacles:10"
 study blackout memory --grounds $grounds --without 2 6
 study blackout_on_the_way memory --grounds $grounds --without 2 6 --before 1.5
@@ -34,6 +35,7 @@ study unnoticed faults --faults saturated:3 saturated:4 glass:3 glass:4 near_fie
     edge_shadow:4 --onsets 1.5 --healthy-minutes 0 --modes camera memory
 figure success/success.png success.png
 figure memory/memory.png memory.png
+figure reach/reach.png reach.png
 figure noise/noise.png noise.png
 figure margins/margins.png margins.png
 figure filter/filter.png filter.png

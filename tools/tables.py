@@ -149,6 +149,20 @@ def black(label: str, studies: tuple[str, ...] = ("blackout_on_the_way", "blacko
     return [" / ".join(pair) for pair in zip(*counts, strict=True)]
 
 
+def reach(label: str) -> list[str]:
+    """Robots that cross, fall and stand whose camera dies before gaps, by their conduct."""
+    runs = [run for run in result("reach")["runs"] if run["scene"] == "two gaps"]
+    if label != "before two gaps":
+        metres = float(label.split(" m ")[0])
+        runs = [
+            run
+            for run in result("reach")["runs"]
+            if run["scene"] == "gap" and run["metres"] == metres
+        ]
+    ends = {run["unseen"]: (run["crossed"], run["fell"], run["stood"]) for run in runs}
+    return [" / ".join(map(str, ends[conduct])) for conduct in ("walk", "slow", "stop")]
+
+
 def one_try(label: str) -> list[str]:
     """Who of 100 crosses with one try, on ground that separates policies."""
     path = {"this policy": "success_100", "the earlier recipe's": "../earlier/success_100"}[label]
@@ -174,6 +188,7 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("results.md", "Grass"): grass,
     ("results.md", "Other switches"): switches,
     ("results.md", "Standing"): standing,
+    ("memory.md", "Where memory ends"): reach,
     ("memory.md", "Measure it"): black,
     ("results.md", "Go2, one try"): go2,
     ("results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),

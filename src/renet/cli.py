@@ -164,7 +164,7 @@ COMMANDS = {
         "renet.evaluation.studies.commands:CommandStudy:CommandStudy.main",
     ),
     "evaluate memory": _study(
-        "who crosses, against seconds without an image; --preset reach: metres",
+        "who crosses without images; --preset reach",
         "renet.evaluation.studies.memory:MemoryStudy:MemoryStudy.main",
         presets={"reach": "renet.evaluation.studies.reach:ReachStudy"},
     ),

@@ -9,6 +9,7 @@ import sys
 import threading
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,10 @@ from renet.folders import lock
 from renet.interface import TRUNK
 
 from .fakes import BRISK
+
+NEEDS_DDS = pytest.mark.skipif(
+    find_spec("cyclonedds") is None, reason="needs renet-locomotion[go2]"
+)
 
 
 def run(out: Path, **options) -> Recording:
@@ -209,9 +214,21 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
         ("--camera replay --recording nowhere", "cannot read the recording nowhere"),
         ("--robot go1", "needs --teleop keyboard, joystick or ros2, or --dry-run"),
         ("--teleop wheel", "unknown teleop 'wheel': choose one of auto, keyboard, joystick, ros2"),
-        ("--teleop ros2 --topic 2go", "--topic must be a name such as cmd_vel, got '2go'"),
-        ("--teleop ros2 --ros-domain 233", "--ros-domain must be from 0 to 232, got 233"),
-        ("--teleop ros2 --ros-interface eth9", "no network interface 'eth9' here"),
+        pytest.param(
+            "--teleop ros2 --topic 2go",
+            "--topic must be a name such as cmd_vel, got '2go'",
+            marks=NEEDS_DDS,
+        ),
+        pytest.param(
+            "--teleop ros2 --ros-domain 233",
+            "--ros-domain must be from 0 to 232, got 233",
+            marks=NEEDS_DDS,
+        ),
+        pytest.param(
+            "--teleop ros2 --ros-interface eth9",
+            "no network interface 'eth9' here",
+            marks=NEEDS_DDS,
+        ),
         ("--teleop joystick", "-of-nobody: connect one"),
         ("--robot go1 --camera sim", "looks at a simulation"),
         ("--robot spot", "unknown robot 'spot': choose one of mujoco, go1"),

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import renet
+from renet.bundle import Bundle
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.pilot import Pilot
+from renet.pilot.policy import BundlePolicy
 from renet.pilot.reach import HALF_WIDTH, MARGIN, Reach, direction_of, slowed
 
 WALKS = np.load(Path(__file__).with_name("data") / "walks.npz")
@@ -132,3 +135,9 @@ def test_robots_without_memory_go_on():
 def test_an_unknown_conduct_is_refused():
     with pytest.raises(RenetError, match="unseen"):
         renet.load("go1-parkour", unseen="fly")  # type: ignore[arg-type]
+
+
+def test_as_many_conducts_as_robots():
+    bundle = Bundle.load()
+    with pytest.raises(RenetError, match="2 conducts for 1 robots"):
+        Pilot(BundlePolicy(bundle), {}, ["memory"], ["walk", "stop"])

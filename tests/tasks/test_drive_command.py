@@ -105,7 +105,8 @@ def test_reward_of_a_velocity(env, heading, velocity, expected):
     [
         ((0.0, 0.0), 1.0, 1.0),
         ((0.15, 0.0), 1.0, 0.5),
-        ((0.0, 0.0), 0.35, 0.5),
+        ((0.0, 0.0), 0.5, 0.5),
+        ((0.0, 0.0), 0.0, 0.0),
         ((0.0, 0.0), -1.0, 0.0),
         ((0.45, 0.0), 1.0, -0.5),
     ],
@@ -118,7 +119,9 @@ def test_reward_of_turning_on_the_spot(env, velocity, rate, expected):
     assert not goal(env).stands.any()
 
 
-@pytest.mark.parametrize(("rate", "expected"), [(0.5, 1.0), (0.1, 0.5), (-0.3, 0.0), (0.9, 0.5)])
+@pytest.mark.parametrize(
+    ("rate", "expected"), [(0.5, 1.0), (0.25, 0.5), (0.0, 0.0), (-0.3, 0.0), (0.75, 0.5)]
+)
 def test_reward_of_a_turn_rate(env, rate, expected):
     drive(env, (0.5, 0.0, 0.5), (0.5, 0.0), rate)
     torch.testing.assert_close(

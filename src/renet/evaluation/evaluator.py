@@ -158,7 +158,7 @@ class Evaluator:
         # Robots of other modes obey none, but their traces tell what `memory` would do.
         kinds = ["memory", "switch"] if "switch" in modes else ["memory"]
         selectors = {kind: self.make_selector(kind, robots) for kind in kinds}
-        return Pilot(policy, selectors, modes, unseen, self.bundle.manifest.selector.reach)
+        return Pilot(policy, selectors, modes, unseen)
 
     def rollout(
         self,

@@ -28,7 +28,6 @@ from renet.bundle import Bundle
 from renet.errors import RenetError, demand_name
 from renet.interface import (
     DEPTH_SHAPE,
-    HEIGHT_MAP_X,
     PROPRIOCEPTION,
     PROPRIOCEPTION_SIZE,
     STEPS_PER_TICK,
@@ -105,7 +104,6 @@ class Pilot:
         selectors: Mapping[str, Selector],
         modes: Sequence[str],
         unseen: Unseen | Sequence[Unseen] = "walk",
-        reach: float = max(HEIGHT_MAP_X),
     ) -> None:
         """Combine a policy and selectors.
 
@@ -116,10 +114,9 @@ class Pilot:
             modes: of each robot, one of `PILOT_MODES`.
             unseen: what robots of the mode `memory` do at the end of the ground that they have
                 seen, one of `UNSEEN` for all robots, or N of them.
-            reach: distance ahead of the base up to which VP remembers its last image, m.
 
         Raises:
-            RenetError: unknown mode or conduct.
+            RenetError: unknown mode or conduct, or another number of conducts than of robots.
         """
         for mode in dict.fromkeys(modes):
             demand_name("mode", mode, PILOT_MODES)
@@ -142,11 +139,13 @@ class Pilot:
         self._camera = ImageHolder(robots)
         self._steps = 0
         conducts = [unseen] * robots if isinstance(unseen, str) else list(unseen)
+        if len(conducts) != robots:
+            raise RenetError(f"{len(conducts)} conducts for {robots} robots: give one, or one each")
         for conduct in dict.fromkeys(conducts):
             demand_name("unseen", conduct, UNSEEN)
         self._fastest = np.array([SPEEDS[conduct] for conduct in conducts])
         """Fastest walk towards unseen ground, [N] m/s."""
-        self.reach = Reach(robots, reach)
+        self.reach = Reach(robots)
         self.unseen = np.zeros(robots, bool)
         """Whether the ground ahead of a robot lies beyond what it has seen, [N]."""
 
@@ -181,7 +180,7 @@ class Pilot:
         spec = bundle.manifest.selector
         selectors = {kind: make_selector(kind, spec, robots) for kind in needed}
         policy = policy or BundlePolicy(bundle, robots)
-        return cls(policy, selectors, modes, unseen, spec.reach)
+        return cls(policy, selectors, modes, unseen)
 
     def step(self, observation: np.ndarray, image: np.ndarray | Images | None, now: float) -> Step:
         """One control step, every 0.02 s, with the policy of a bundle.

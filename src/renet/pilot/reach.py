@@ -12,6 +12,9 @@ import numpy as np
 from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, Told, Unseen
 
 UNSEEN = get_args(Unseen)
+DISTANCE = max(HEIGHT_MAP_X)
+"""Distance ahead of the base up to which VP remembers an image, m: the map that teaches it ends
+there."""
 MARGIN = 0.5
 """Distance ahead of the base within which the ground must have been seen, m: the front feet are a
 quarter of a metre ahead, and a robot needs as much to stop."""
@@ -39,12 +42,12 @@ class Reach:
     behind it, for the robot came from there.
     """
 
-    def __init__(self, num_robots: int, distance: float) -> None:
+    def __init__(self, num_robots: int, distance: float = DISTANCE) -> None:
         """Begin with an image of every robot.
 
         Args:
             num_robots: N.
-            distance: Distance ahead of the base up to which VP remembers an image, m.
+            distance: Distance ahead of the base up to which an image is remembered, m.
         """
         self.distance = distance
         self._position = np.zeros((num_robots, 2))

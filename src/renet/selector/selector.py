@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from renet.errors import RenetError, demand_name
-from renet.interface import HEIGHT_MAP_X
 from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
 from renet.selector.monitors import MONITORS, Gate, Scorer, SelectorInput
 
@@ -58,8 +57,6 @@ class SelectorSpec:
     longest_memory: float = 0.0
     """Seconds for which VP may drive without an image, whatever error of its map it expects; 0: OP
     takes over at once (the paper's switch)."""
-    reach: float = max(HEIGHT_MAP_X)
-    """Distance ahead of the base up to which VP remembers the ground of its last image, m."""
 
     def __post_init__(self) -> None:
         for name in ("beta", "rate_hz"):
@@ -72,8 +69,6 @@ class SelectorSpec:
             raise RenetError(
                 f"selector.longest_memory must be finite, from 0 s, got {self.longest_memory}"
             )
-        if not 0.0 < self.reach < math.inf:
-            raise RenetError(f"selector.reach must be positive and finite, got {self.reach} m")
         for name in self.thresholds:
             demand_name("monitor", name, MONITORS)
 

@@ -103,6 +103,7 @@ def test_replay_is_bit_for_bit(bundle, flight, tmp_path, monkeypatch):
         ({"safety": {"max_height": 1.0}}, "does not say what ran"),
         ({"safety": None}, "does not say what ran"),
         ({"mode": ...}, "does not say what ran: 'mode'"),
+        ({"unseen": None}, "unseen None: walk, slow, stop"),
     ],
 )
 def test_a_run_of_another_bundle_cannot_be_replayed(bundle, flight, header, message):

@@ -17,6 +17,7 @@ from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 from renet.pilot.inference import InlineInference
+from renet.pilot.reach import UNSEEN
 
 UNREADABLE = np.full(DEPTH_SHAPE, np.nan, np.float32)
 
@@ -56,8 +57,10 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
         mode = run.header["mode"]
     except (KeyError, TypeError) as error:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
-    # Recordings of before had no choice.
+    # Earlier recordings do not say it: their robots could only walk on.
     unseen = run.header.get("unseen", "walk")
+    if unseen not in UNSEEN:
+        raise RenetError(f"the recording's header has unseen {unseen!r}: {', '.join(UNSEEN)}")
     controller = Controller(bundle, safety, lambda sessions: inference, mode, unseen=unseen)
     image = UNREADABLE
     # What came from outside the controller's inputs.

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -23,6 +23,7 @@ from renet.evaluation.results import grouped
 from renet.evaluation.rollout import Trial
 from renet.evaluation.studies.memory import DEAD
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
+from renet.evaluation.trace import Trace
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, Unseen
 from renet.pilot.reach import UNSEEN
@@ -74,8 +75,10 @@ class ReachStudy(WalkingStudy):
         if not all(metres > 0.0 for metres in self.metres):
             raise RenetError(f"metres {self.metres}: give distances above 0 m")
         for gap in (single_gap(self.gap, max(self.metres)), self.two_gaps):
-            edge = gap.island + gap.high + (0.0 if gap.ground is None else gap.ground + gap.high)
-            if not gap.high > 0.0 or edge + LAST_GROUND > TILE / 2:
+            outer = gap.island + gap.high
+            if gap.ground is not None:
+                outer += gap.ground + gap.high
+            if gap.high <= 0.0 or outer + LAST_GROUND > TILE / 2:
                 raise RenetError(
                     f"gaps of {gap.high:g} m and the way to them do not fit into {TILE / 2:g} m"
                 )
@@ -109,34 +112,48 @@ class ReachStudy(WalkingStudy):
         from renet.tasks.terrains import parkour_terrain
 
         kinds: dict[str, Tile] = {"gap": gap}
-        cfg = tile_env_cfg(
-            parkour_terrain(UNSEEN_TILES, kinds, levels=1), play=True, robot=evaluator.robot
-        )
+        terrain = parkour_terrain(UNSEEN_TILES, kinds, levels=1)
+        cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
         evaluator.set_conditions(cfg)
         each = self.robots_each
         dead = (Injection.of(*DEAD, self.onset, self.seconds),)
-        schedules = [(), *(dead for _ in self.unseen)]
-        trials = [Trial("memory", x, robot) for x in schedules for robot in range(each)]
-        conducts: list[Unseen] = ["walk", *self.unseen]
-        env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
-        unseen: list[Unseen] = [conduct for conduct in conducts for _ in range(each)]
-        rollout = evaluator.rollout(env, trials, self.seed, unseen)
-        trace = rollout.run(round(self.seconds / CONTROL_DT), name, retire=True)
-        runs = []
+        # One group with a healthy camera, which no conduct changes, and one for each conduct.
         labels = ["healthy", *self.unseen]
-        for label, group in zip(labels, trace.groups(each), strict=True):
-            crossed, fell, _ = group.first_try()
-            from_edge = gap.island - group.travelled[self.onset]
-
-            row = {"scene": "two gaps" if name == "two_gaps" else "gap", "unseen": label}
-            row |= {"gap_m": gap.high, "metres": metres, "measured_m": float(from_edge.mean())}
-            row |= {"robots": each, "crossed": int(crossed.sum()), "fell": int(fell.sum())}
-            row |= {"stood": int((~crossed & ~fell).sum())}
-            row |= {"crossed_rate": float(crossed.mean()), "fell_rate": float(fell.mean())}
-            row |= metrics.with_share_interval("crossed", crossed)
-            row |= metrics.with_share_interval("fell", fell)
-            runs.append(row | {"seed": self.seed})
+        trials = []
+        conducts: list[Unseen] = []
+        for label in labels:
+            healthy = label == "healthy"
+            for robot in range(each):
+                trials.append(Trial("memory", () if healthy else dead, robot))
+                conducts.append("walk" if healthy else cast(Unseen, label))
+        env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
+        rollout = evaluator.rollout(env, trials, self.seed, conducts)
+        trace = rollout.run(round(self.seconds / CONTROL_DT), name, retire=True)
+        scene = {
+            "scene": "two gaps" if name == "two_gaps" else "gap",
+            "gap_m": gap.high,
+            "metres": metres,
+        }
+        groups = zip(labels, trace.groups(each), strict=True)
+        runs = [scene | {"unseen": label} | self._row(group, gap) for label, group in groups]
         return {"runs": runs}
+
+    def _row(self, trace: Trace, gap: Gap) -> dict[str, Any]:
+        """Ends of the first tries of one group of robots."""
+        crossed, fell, _ = trace.first_try()
+        from_edge = gap.island - trace.travelled[self.onset]
+        return {
+            "measured_m": float(from_edge.mean()),
+            "robots": len(crossed),
+            "crossed": int(crossed.sum()),
+            "fell": int(fell.sum()),
+            "stood": int((~crossed & ~fell).sum()),
+            "crossed_rate": float(crossed.mean()),
+            "fell_rate": float(fell.mean()),
+            **metrics.with_share_interval("crossed", crossed),
+            **metrics.with_share_interval("fell", fell),
+            "seed": self.seed,
+        }
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The rows."""
@@ -150,11 +167,10 @@ class ReachStudy(WalkingStudy):
             for number, ((conduct,), runs) in enumerate(grouped(single, "unseen").items()):
                 # Side by side, or equal shares would hide each other.
                 x = [run["measured_m"] + 0.012 * number for run in runs]
-                rate, low, high = (
-                    np.array([100 * run[f"{share}_{end}"] for run in runs])
-                    for end in ("rate", "ci95_low", "ci95_high")
-                )
-                interval = np.abs(np.stack((low, high)) - rate)
+                rate = np.array([100 * run[f"{share}_rate"] for run in runs])
+                low = np.array([100 * run[f"{share}_ci95_low"] for run in runs])
+                high = np.array([100 * run[f"{share}_ci95_high"] for run in runs])
+                interval = np.stack((rate - low, high - rate)).clip(min=0.0)
                 axis.errorbar(
                     x, rate, interval, fmt="o-", color=COLOURS[conduct], label=conduct, markersize=4
                 )
@@ -170,8 +186,9 @@ class ReachStudy(WalkingStudy):
         header = ("scene", "dead at (m)", "at the end", "crossed", "fell", "stood")
         rows = []
         for run in summary["runs"]:
-            counts = (str(run[name]) for name in ("crossed", "fell", "stood"))
-            rows.append((run["scene"], f"{run['measured_m']:.2f}", run["unseen"], *counts))
+            at = f"{run['measured_m']:.2f}"
+            counts = (run["crossed"], run["fell"], run["stood"])
+            rows.append((run["scene"], at, run["unseen"], *counts))
         return [(f"Cameras that die before a gap, {self.robots_each} robots each", header, rows)]
 
 

@@ -58,10 +58,13 @@ def velocity_tracking(env: ManagerBasedRlEnv) -> Tensor:
 
 
 def turn_tracking(env: ManagerBasedRlEnv) -> Tensor:
-    """1 - |omega - c| / (|c| + TURN_SLACK), at least 0, of turn rates omega and c, [N]."""
+    """1 - |omega - c| / max(|c|, TURN_SLACK), at least 0, of turn rates omega and c, [N].
+
+    A robot that stands where it is told to turn by at least TURN_SLACK earns nothing.
+    """
     wanted = goal(env).turn
     rate = env.sim.data.qvel[:, env.scene["robot"].indexing.free_joint_v_adr[5]]
-    return (1.0 - (rate - wanted).abs() / (wanted.abs() + TURN_SLACK)).clamp_min(0.0)
+    return (1.0 - (rate - wanted).abs() / wanted.abs().clamp_min(TURN_SLACK)).clamp_min(0.0)
 
 
 def yaw(env: ManagerBasedRlEnv) -> Tensor:
