@@ -7,7 +7,7 @@ import { Pad } from "./panel/pad.js";
 import { Panel } from "./panel/panel.js";
 import { drawDepth } from "./panel/plots.js";
 import { BEFORE, Story } from "./panel/story.js";
-import { velocityWords } from "./panel/words.js";
+import { ASKED, velocityWords } from "./panel/words.js";
 import { View } from "./stage/view.js";
 import { DepthCamera, makeFault } from "./world/camera.js";
 import { Simulation } from "./world/simulation.js";
@@ -89,7 +89,8 @@ export class Page {
   /** The visitor steers from now on, and breaks the cameras when it pleases. */
   takeOver() {
     this.pending = false;
-    this.notify("You drive. Break the cameras whenever you like.");
+    const where = this.scene.ground.obstacle ? "just before the edge" : "whenever you like";
+    this.notify(this.broken ? "You drive." : `You drive. Break the cameras ${where}.`);
     this.show();
   }
 
@@ -276,7 +277,7 @@ export class Page {
     this.simulations.forEach((simulation, n) => this.panels[n].update(simulation, this.story.outcome(n)));
     this.view.draw(this.simulations, seconds);
     this.pad.show(this.driver.velocity);
-    const asked = velocityWords(this.driver.velocity);
+    const asked = velocityWords(this.driver.velocity, ASKED);
     if ($("#asked").textContent !== asked) $("#asked").textContent = asked;
     const { sentence } = this.story;
     if ($("#verdict").textContent !== sentence) $("#verdict").textContent = sentence;

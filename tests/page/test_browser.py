@@ -278,7 +278,7 @@ def test_a_go2_stands_up_and_a_visitor_changes_to_the_go1(visit):
     parts = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
     drawn = one.its("runtime.look.map(({ name }) => name.split('-')[0])")
     assert {*drawn} == {TRUNK, *parts}, "by its own meshes"
-    one.page.select_option("#bundle", label="Go1 · go1-parkour")
+    one.page.select_option("#bundle", label="Go1")
     one.until("globalThis.renetPage?.page.runtime.bundle.robot === 'Unitree Go1'")
     assert "?robot=go1&ground=" in one.page.url
 

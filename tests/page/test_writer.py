@@ -171,6 +171,15 @@ def test_opening_scene_is_one_that_the_bundle_can_walk():
         assert entry["selectors"]["switch"]["longestMemory"] == 0.0
 
 
+def test_bundles_are_called_by_their_robot_and_by_name_among_several():
+    go1 = Bundle.load()
+    other = replace(go1, name="mine")
+    (alone, go2) = contract([go1, Bundle.load("go2-parkour")])["bundles"]
+    assert (alone["title"], go2["title"]) == ("Go1", "Go2")
+    titles = [one["title"] for one in contract([go1, other])["bundles"]]
+    assert titles == ["Go1 · go1-parkour", "Go1 · mine"]
+
+
 def test_download_is_small(page):
     compressed = sum(len(gzip.compress(p.read_bytes())) for p in page.rglob("*") if p.is_file())
     assert compressed < 12 * MEGABYTE

@@ -107,20 +107,25 @@ export class Driver {
   steer(wished) {
     this.takeOver();
     const asked = {};
-    let refused = false;
     for (const [component, value] of Object.entries(wished)) {
-      const offered = this.offers(component, Math.sign(value));
-      asked[component] = offered ? value : 0;
-      refused ||= !offered && value !== 0;
+      asked[component] = this.offers(component, Math.sign(value)) ? value : 0;
     }
     Object.assign(this.pad, asked);
-    // A stick springs back: who let it go wants to stand.
+    // A stick springs back: who lets it go wants to stand.
     if ("forward" in wished) this.forward = 0;
-    if (refused) this.onRefusal(this.steering.forwardOnly);
+    // A thumb that goes ahead is never quite straight: no word of the rest.
+    const wants = Object.values(wished).some(Boolean);
+    const gets = Object.values(asked).some(Boolean);
+    if (wants && !gets) this.onRefusal(this.steering.forwardOnly);
   }
 
-  /** Take the news that a pointer left the pad's components. */
-  leave(components) {
+  /**
+   * Take the news that a pointer left the pad's components.
+   * @param {string[]} components that it held.
+   * @param {boolean} keeps whether the forward speed stays, as it does after a key.
+   */
+  leave(components, keeps) {
+    if (keeps) this.forward = this.pad.forward ?? this.forward;
     for (const component of components) delete this.pad[component];
   }
 

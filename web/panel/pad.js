@@ -4,17 +4,17 @@
 
 const DEAD_ZONE = 0.1;
 /** Share of its way that a stick must leave its middle to steer. */
-/** Arrows by their class: the component and the side that they stand for. */
+const TAP = 6;
+/** Pixels from where a pointer went down within which it taps, and does not drag. */
+/** Arrows of the stick that goes, by their class: the component and the side of each. */
 const ARROWS = {
   ahead: ["forward", 1],
   back: ["forward", -1],
   left: ["left", 1],
   right: ["left", -1],
-  round: ["turnRate", 1],
-  around: ["turnRate", -1],
 };
 
-/** A stick that follows a pointer and springs back. */
+/** A stick that follows a pointer and springs back; after a tap the forward speed stays. */
 class Stick {
   /**
    * @param {HTMLElement} element with a knob `b` in it.
@@ -30,17 +30,22 @@ class Stick {
     element.addEventListener("pointerdown", (event) => {
       if (this.pointer !== null) return;
       this.pointer = event.pointerId;
+      this.from = [event.clientX, event.clientY];
+      this.taps = true;
       element.setPointerCapture(event.pointerId);
       this.follow(event);
     });
     element.addEventListener("pointermove", (event) => {
-      if (event.pointerId === this.pointer) this.follow(event);
+      if (event.pointerId !== this.pointer) return;
+      const [x, y] = this.from;
+      this.taps &&= Math.hypot(event.clientX - x, event.clientY - y) <= TAP;
+      this.follow(event);
     });
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
       element.addEventListener(end, (event) => {
         if (event.pointerId !== this.pointer) return;
         this.pointer = null;
-        driver.leave(Object.values(axes));
+        driver.leave(Object.values(axes), this.taps && end === "pointerup");
       });
     }
   }
@@ -82,7 +87,7 @@ class Stick {
   }
 }
 
-/** Both sticks; what the policy cannot follow is grey, and says why. */
+/** Both sticks, without the arrows that the policy cannot follow. */
 export class Pad {
   /**
    * @param {HTMLElement} go goes ahead, back and sideways.
@@ -95,11 +100,9 @@ export class Pad {
       new Stick(turn, { across: "turnRate" }, driver),
     ];
     for (const [name, [component, side]] of Object.entries(ARROWS)) {
-      if (driver.offers(component, side)) continue;
-      const arrow = go.querySelector(`.${name}`);
-      arrow.classList.add("refused");
-      go.title = `${go.title} (${driver.steering.forwardOnly})`;
+      go.querySelector(`.${name}`).hidden = !driver.offers(component, side);
     }
+    if (!driver.offers("left", 1)) go.title = `Drag, or tap to go on: ahead (W, S); ${driver.steering.forwardOnly}`;
   }
 
   /** @param {Velocity} velocity asked for. */

@@ -1,7 +1,7 @@
 // What is said and shown of one robot: who drives, what became of it, what it sees, its curves.
 
 import { Curves, drawDepth } from "./plots.js";
-import { velocityWords } from "./words.js";
+import { WALKED, velocityWords } from "./words.js";
 
 /** What each mode of the pilot is, beside its name. */
 const GLOSSES = {
@@ -69,7 +69,7 @@ export class Panel {
     const objects = state && selector.state !== "sees";
     const whose = controller.obeys ? "" : "memory would object: ";
     this.say("why", objects ? whose + selector.reason : "", "");
-    this.say("walked", state ? `walks ${velocityWords(walked)}`.replace("walks stands", "stands") : "", "");
+    this.say("walked", state ? velocityWords(walked, WALKED) : "", "");
     this.show(this.depth, camera.frame?.image);
     this.eye.classList.toggle("broken", camera.broken(simulation.now));
     if (!this.curves.box.clientWidth) return;

@@ -91,7 +91,7 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "steady": STEADY,
         "palette": {name: {"colour": c, "says": says} for name, (c, says) in STATES.items()},
         "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],
-        "bundles": [_bundle(bundle) for bundle in bundles],
+        "bundles": [_bundle(bundle) | {"title": _title(bundle, bundles)} for bundle in bundles],
     }
 
 
@@ -127,7 +127,6 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
     remembers = spec.longest_memory > 0.0
     return {
         "name": bundle.name,
-        "title": f"{robot.name.split()[-1]} · {bundle.name}",
         "robot": robot.name,
         "told": bundle.manifest.told,
         "base": {"body": interface.TRUNK, "height": robot.height},
@@ -135,6 +134,14 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
         "grounds": [_ground(robot, terrain, *words) for terrain, words in GROUNDS.items()],
     }
+
+
+def _title(bundle: Bundle, bundles: Sequence[Bundle]) -> str:
+    """What the page calls a bundle: its robot, "Go1", and its own name among several of that."""
+    robot = bundle.manifest.robot.name
+    others = [one for one in bundles if one.manifest.robot.name == robot]
+    nickname = robot.split()[-1]
+    return nickname if len(others) == 1 else f"{nickname} · {bundle.name}"
 
 
 def _opening(remembers: bool) -> dict[str, Any]:
