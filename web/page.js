@@ -53,9 +53,13 @@ export class Page {
     this.driver = new Driver(
       bundle.told,
       contract.steering,
-      (why) => this.notify(`${why[0].toUpperCase()}${why.slice(1)}.`),
+      (why) => this.notify(asSentence(why)),
       () => this.takeOver(),
     );
+    const allRound = this.driver.offers("left", 1);
+    for (const part of document.querySelectorAll(".all-round")) part.hidden = !allRound;
+    $("#refusal").textContent = allRound ? "" : asSentence(contract.steering.forwardOnly);
+    $("#chosen").hidden = bundle.opening.left !== "switch";
     this.pad = new Pad($("#go"), $("#turn"), this.driver);
     $("#severity").value = scene.severity;
     this.controls = new Controls(this);
@@ -298,6 +302,11 @@ export class Page {
 function fillSelect(select, choices, onChange) {
   select.append(...choices.map(({ name, title }) => new Option(title ?? name, name)));
   select.addEventListener("change", () => onChange(select.value));
+}
+
+/** Words as a sentence. */
+function asSentence(words) {
+  return `${words[0].toUpperCase()}${words.slice(1)}.`;
 }
 
 const press = (button, down) => button.setAttribute("aria-pressed", String(down));

@@ -53,6 +53,16 @@ class Visit:
         for key in keys:
             self.page.keyboard.press(key)
 
+    def place(self, selector: str, share: tuple[float, float] = (0.5, 0.5)) -> tuple[float, float]:
+        """Point of an element, px, at shares of its width and height."""
+        box = self.page.locator(selector).bounding_box()
+        return box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
+
+    def tap(self, place: tuple[float, float]) -> None:
+        """Tap with a finger on a phone, click elsewhere; at once, for robots walk on."""
+        phone = self.page.viewport_size == PHONE
+        (self.page.touchscreen.tap if phone else self.page.mouse.click)(*place)
+
 
 @pytest.fixture(scope="module")
 def browser():
@@ -65,8 +75,10 @@ def visit(browser, address):
     """Makes visits, each in a window of its own, and ends them without a complaint."""
     visits: list[Visit] = []
 
-    def make(query: str = "", size: dict[str, int] = DESKTOP, at: str = address) -> Visit:
-        context = browser.new_context(viewport=size, has_touch=size == PHONE)
+    def make(
+        query: str = "", size: dict[str, int] = DESKTOP, at: str = address, scheme: str = "light"
+    ) -> Visit:
+        context = browser.new_context(viewport=size, has_touch=size == PHONE, color_scheme=scheme)
         visits.append(Visit(context.new_page(), at + query))
         return visits[-1]
 
@@ -105,6 +117,41 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address):
     story.until("renetPage.page.now < 1")  # The show is played again.
     assert story.its("pending")
     assert all(url.startswith((address, "blob:", "data:")) for url in story.requests)
+
+
+@pytest.mark.parametrize("robot", ["go1", "go2"])
+def test_every_opening_shows_the_difference(visit, robot):
+    """The show plays again by itself, with new noise."""
+    one = visit(f"?robot={robot}").load()
+    for _ in range(2):
+        one.until("document.querySelector('#verdict').textContent")
+        fell, crossed = one.page.text_content("#verdict").split(". ")
+        assert fell.startswith("Switch fell")
+        assert fell.endswith("after its camera broke")
+        assert crossed == "Memory leapt the gap from memory."
+        left, right = one.page.locator(".outcome").all_text_contents()
+        assert (left[:10], right[:13]) == ("Fell after", "Leapt the gap")
+        one.until("!document.querySelector('#verdict').textContent")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
+    one = visit("?ground=gap&fault=none", size, scheme=scheme)
+    one.page.goto(one.url)
+    one.until("globalThis.renetPage?.stats.first")
+    ahead, noise = one.place("#go", (0.5, 0.05)), one.place("#faults button:nth-child(3)")
+    one.until("renetPage.stats.ready")
+    one.tap(ahead)
+    one.until("document.querySelector('#asked').textContent === '1.00 m/s ahead'")
+    assert "You drive" in one.its("notice")
+    reach = "Math.max(...renetPage.page.simulations.map((s) => s.world.pose().position[0]))"
+    one.until(f"{reach} > renetPage.page.scene.ground.obstacle[0] - 0.8")
+    one.tap(noise)
+    one.until("document.querySelector('#verdict').textContent")
+    assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
+    assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")
+    assert one.its("driver.driven"), "and still drives"
 
 
 def test_every_control_answers_to_keys(visit):
@@ -203,8 +250,7 @@ def test_a_visitor_drives_all_round_by_the_pad(visit, twist_address, size):
         ("#turn", (-1, 0), "z > 0.99"),
         ("#turn", (1, 0), "z < -0.99 && x === 0"),
     ):
-        box = one.page.locator(stick).bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        x, y = one.place(stick)
         mouse.move(x, y)
         mouse.down()
         mouse.move(x + 60 * across, y + 60 * along, steps=2)
@@ -212,11 +258,17 @@ def test_a_visitor_drives_all_round_by_the_pad(visit, twist_address, size):
         mouse.up()
         told_soon(one, "x === 0 && y === 0 && z === 0")
     assert one.its("driver.driven")
+    one.tap(one.place("#go", (0.5, 0.95)))
+    told_soon(one, "Math.abs(x + 0.6) < 1e-6")  # It stays after a tap.
+    one.tap(one.place("#stop"))
+    told_soon(one, "x === 0 && y === 0 && z === 0")
 
 
 def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     one = visit("?ground=flat&fault=none").load(WALKS)
-    assert one.page.locator("#go .refused").count() == 3
+    assert one.page.locator("#go i").filter(visible=True).all_text_contents() == ["▲"]
+    assert "cannot walk backward" in one.page.text_content("#refusal")
+    assert one.page.locator(".all-round").filter(visible=True).count() == 0
     assert "cannot walk backward or sideways" in one.page.locator("#go").get_attribute("title")
     one.press("q")
     one.until("document.querySelector('#message').textContent.includes('cannot walk backward')")
@@ -231,6 +283,17 @@ def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     told_soon(one, "x === 0")
     one.until("renetPage.page.simulations[0].walked.forward < 0.15")
     assert one.its("driver.velocity") == {"forward": 0, "left": 0, "turnRate": 0}
+
+    one.ask("renetPage.page.notice = ''")
+    (x, y), mouse = one.place("#go"), one.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x + 20, y - 30)
+    told_soon(one, "x > 0.6 && y === 0")
+    assert one.its("notice") == "", "of the part that it cannot do while it does the other"
+    mouse.move(x + 30, y)
+    one.until("renetPage.page.notice.includes('cannot walk backward')")
+    mouse.up()
 
 
 def test_ground_lies_all_round_and_robots_that_fell_are_put_back(visit):
