@@ -141,13 +141,20 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
     one.page.goto(one.url)
     one.until("globalThis.renetPage?.stats.first")
     ahead, noise = one.place("#go", (0.5, 0.05)), one.place("#faults button:nth-child(3)")
+    # However slow this machine is, the visitor is quick: time waits at the edge.
+    one.ask(
+        """const { page } = renetPage, edge = page.scene.ground.obstacle[0];
+        const reach = () => Math.max(...page.simulations.map((s) => s.world.pose().position[0]));
+        Object.defineProperty(page, "pace", {
+          configurable: true, get: () => (reach() > edge - 0.8 ? 0 : 1),
+        }); 0"""
+    )
     one.until("renetPage.stats.ready")
     one.tap(ahead)
     one.until("document.querySelector('#asked').textContent === '1.00 m/s ahead'")
-    assert "You drive" in one.its("notice")
-    reach = "Math.max(...renetPage.page.simulations.map((s) => s.world.pose().position[0]))"
-    one.until(f"{reach} > renetPage.page.scene.ground.obstacle[0] - 0.8")
+    one.until("renetPage.page.pace === 0")
     one.tap(noise)
+    one.ask("delete renetPage.page.pace")
     one.until("document.querySelector('#verdict').textContent")
     assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
     assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")
