@@ -6,8 +6,7 @@ import pytest
 
 from renet import cli
 from renet.bundle import pretrained, read_manifest
-from renet.evaluation import calibrate_memory
-from renet.evaluation.report import painter
+from renet.evaluation import calibrate_memory, painter
 from renet.page import writer
 
 SMALL = "--robots 1 --seconds 1"

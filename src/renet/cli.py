@@ -88,7 +88,6 @@ COMMANDS = {
     "demo": _walk(
         "see who crosses a gap after the camera has died",
         "renet.evaluation.demo:DemoStudy:run_demo",
-        presets={"noise": "renet.evaluation.studies.noise:NoiseStudy"},
         resume=KEPT,
     ),
     "play": _walk(
@@ -184,10 +183,6 @@ COMMANDS = {
         "score a recording: falls, distance, switches",
         "renet.deploy.recording.score:ScoreCfg:score_log",
         "",
-    ),
-    "evaluate report": _study(
-        "all studies of a folder on one page",
-        "renet.evaluation.studies.report:ReportCfg:make_report",
     ),
     "bundle inspect": _bundle(
         "print a bundle's inputs by index, name and unit",

@@ -1,24 +1,21 @@
 """The demo, with stand-ins: VP falls on an image that does not change, OP at the gap."""
 
 import re
-import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from renet.errors import RenetError
-from renet.evaluation import demo
-from renet.evaluation.demo import DemoStudy, run_demo
-from renet.evaluation.report import painter, video
-from renet.evaluation.report.summary import gap_headline, noise_headline
+from renet.evaluation import demo, painter, video
+from renet.evaluation.demo import DemoStudy, demo_page, headline, run_demo
 from renet.evaluation.results import read_results
 from renet.evaluation.trace import Trace
 from renet.selector import SelectorSpec, make_selector
 
 from .fakes import FakeEnv, FakeEvaluator, FakePolicy
-from .tiny import TINY
 
 
 class Gap(FakeEnv):
@@ -90,7 +87,7 @@ def check_page(path, media: int) -> str:
     assert all(link.startswith("data:") for link in links.links)
     text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", html)
     assert "http" not in text
-    assert all(text in html for text in ("prefers-color-scheme: dark", "width=device-width"))
+    assert all(words in html for words in ("prefers-color-scheme: dark", "width=device-width"))
     return text
 
 
@@ -99,24 +96,45 @@ def test_the_page_says_what_was_measured_and_needs_no_network(tmp_path, monkeypa
     monkeypatch.setattr(demo, "SHOWN", (0.2, 0.6))
     sentence = run_demo(DemoStudy(tmp_path, robots=3, seconds=3.4), GapEvaluator(9.0))
     assert sentence == (
-        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots 3 cross with RENet, which"
-        " remembers it; 0 that trust the last image, 0 with the paper's switch,"
-        " 0 that go blind at once."
+        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots each cross 0 in mode switch,"
+        " 0 in mode camera, 0 in mode oracle, 3 in mode memory."
     )
-    names = "index.html summary.json summary.csv demo.png film.mp4 parts"
+    names = "index.html summary.md summary.json summary.csv demo.png film.mp4 parts"
     assert {path.name for path in tmp_path.iterdir()} == set(names.split())
     assert (tmp_path / "film.mp4").read_bytes()[4:8] == b"ftyp"
     text = check_page(tmp_path / "index.html", media=2)
     assert text.count("0 of 3") == 3
+    assert "$" not in text
     assert all(words in text for words in ("3 of 3", "number 1 of 3"))
     assert "no memory" not in text
+
+
+def test_the_film_says_who_fell_and_who_crossed(tmp_path, monkeypatch):
+    written = set()
+
+    def write(image, outcome, colour):
+        written.add(outcome)
+
+    monkeypatch.setattr(painter, "PANEL", (120, 90))
+    monkeypatch.setattr(video, "_write_outcome", write)
+    monkeypatch.setattr(demo, "MARGIN", -0.5)
+    monkeypatch.setattr(demo, "SHOWN", (0.2, 1.2))
+    run_demo(DemoStudy(tmp_path, robots=1, seconds=3.4), GapEvaluator(9.0))
+    assert written == {"fell", "crossed"}
+
+
+def test_an_outcome_takes_the_place_of_the_state():
+    image = Image.new("RGB", (400, 300))
+    video._write_outcome(image, "crossed", video.DARK_GREEN)
+    assert image.getpixel((310, 2)) == video.DARK_GREEN
+    assert image.getpixel((100, 2)) == (0, 0, 0)
 
 
 def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "film", lambda path, *args: path.write_bytes(b"\0\0\0\0ftyp"))
     study = DemoStudy(tmp_path, robots=2, seconds=3.4, modes=("camera", "memory"))
     sentence = run_demo(study, GapEvaluator(0.0))
-    assert "of 2 robots 0 cross with RENet, which has no memory here; 0 that trust" in sentence
+    assert sentence.endswith("of 2 robots each cross 0 in mode camera, 0 in mode memory.")
     assert "This bundle has no memory" in (tmp_path / "index.html").read_text()
     assert [run["fell"] for run in read_results(tmp_path / "summary.json")["runs"]] == [2, 2]
 
@@ -127,14 +145,6 @@ def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypa
     steps = study.pace(Trace.empty(end, 1))
     assert study.onset == 75
     assert [*steps[:3], *steps[25:27], steps[-1]] == [25, 27, 29, 75, 76, end - 1]
-
-
-def test_the_noise_preset_makes_a_page_of_the_papers_figure(run_study, tmp_path):
-    # What the study's own tests have run is not run again.
-    shutil.copytree(run_study("noise")[0] / "parts", tmp_path / "parts")
-    sentence = run_demo(replace(TINY["noise"], out=tmp_path), FakeEvaluator())
-    assert sentence.endswith("with memory.")
-    assert "SP 70 %" in check_page(tmp_path / "index.html", media=2)
 
 
 def test_the_film_is_of_the_walk_that_is_told(tmp_path, monkeypatch):
@@ -155,15 +165,19 @@ def test_a_walk_that_ends_before_cameras_die_is_refused():
             DemoStudy(**settings)
 
 
-def test_modes_that_did_not_walk_are_not_told_of():
-    run = {"robots": 3, "crossed": 2, "falls": 1}
-    summary = {
-        "before_s": 0.5,
-        "gap_m": 0.37,
-        "remembers": False,
-        "runs": [run | {"mode": "camera"}],
-    }
-    assert gap_headline(summary).endswith("of 3 robots cross 2 that trust the last image.")
-    assert noise_headline(summary) == (
-        "1 kinds of camera noise, 3 robots each; falls: 1 with camera."
-    )
+def test_only_modes_that_walked_are_in_the_headline():
+    run = {"mode": "camera", "robots": 3, "crossed": 2}
+    summary = {"before_s": 0.5, "gap_m": 0.37, "runs": [run]}
+    assert headline(summary).endswith("of 3 robots each cross 2 in mode camera.")
+
+
+def test_what_a_file_holds_is_no_markup_on_the_page(tmp_path):
+    for name in ("film.mp4", "demo.png"):
+        (tmp_path / name).write_bytes(b"x")
+    run = {"mode": "memory", "robots": 1, "crossed": 1, "fell": 0}
+    run |= {"crossed_ci95_low": 0.0, "crossed_ci95_high": 1.0}
+    summary = {"before_s": 0.5, "gap_m": 0.37, "pair": 0, "remembers": True, "runs": [run]}
+    origin = {"command": "<script>alert(1)</script>"}
+    page = demo_page(summary | {"settings": {"modes": ["memory"]}, "provenance": origin}, tmp_path)
+    assert "&lt;script&gt;" in page
+    assert "<script" not in page

@@ -10,9 +10,8 @@ import pytest
 
 from renet import cli
 from renet.bundle import DEFAULT, Bundle, pretrained
-from renet.evaluation import calibrate, demo, evaluator, figures, results, study
+from renet.evaluation import calibrate, demo, evaluator, figures, results, study, video
 from renet.evaluation.demo import DemoStudy
-from renet.evaluation.report import video
 from renet.evaluation.rollout import Rollout
 from renet.evaluation.studies.memory import MemoryStudy
 from renet.training import export
@@ -118,17 +117,16 @@ def test_an_interrupted_export_leaves_the_bundle(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("owner", "name"), [(video, "film"), (demo, "write_page")])
+@pytest.mark.parametrize(("owner", "name"), [(video, "film"), (demo, "demo_page")])
 def test_an_interrupted_demo_leaves_no_half_page(
     tmp_path, monkeypatch, capsys, owner, name, number
 ) -> None:
-    if name == "write_page":
+    if name == "demo_page":
         monkeypatch.setattr(video, "film", lambda *args: None)
-        monkeypatch.setattr(demo, "study_sections", lambda *args: [])
     monkeypatch.setattr(DemoStudy, "make_evaluator", lambda self: FakeEvaluator())
     interrupt(monkeypatch, owner, name, number=number)
     command = ["demo", "--robots", "2", "--seconds", "2", "--out", str(tmp_path)]
     assert cli.main(command) == 130
     assert capsys.readouterr().err.splitlines()[-1] == f"renet: interrupted: {cli.KEPT}"
     assert "index.html" not in files(tmp_path)
-    assert ("demo.png" in files(tmp_path)) == (name == "write_page")
+    assert ("demo.png" in files(tmp_path)) == (name == "demo_page")

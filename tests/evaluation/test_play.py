@@ -9,9 +9,9 @@ import pytest
 from renet.bundle import Bundle, pretrained
 from renet.descriptions import FOLDER
 from renet.errors import RenetError
+from renet.evaluation import painter
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
-from renet.evaluation.report import painter
 from renet.tasks.config.go1 import GO1
 
 CHECKPOINT = pretrained("checkpoint")

@@ -15,13 +15,13 @@ from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.errors import RenetError
 from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import MAX_JSON, read_results
-from renet.evaluation.studies.report import STUDIES
+from renet.evaluation.results import MAX_JSON, Provenance, read_results, write_summary
 from renet.registry import register_tasks
 from renet.tasks.config.go1 import GO1
 from renet.tasks.sensors import DEPTH_CAMERA
 
 from .fakes import SPEED, FakeEvaluator
+from .tiny import STUDIES
 
 
 def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path, monkeypatch):
@@ -93,6 +93,26 @@ def test_a_study_walks_the_bundles_own_robot_whose_cameras_err_as_in_training(tm
     refusal = "bundle twin drives a Somebody's Go1, this task's robot is a Unitree Go1"
     with pytest.raises(RenetError, match=refusal):
         evaluator.make_env("Renet-Go1-Flat", range(2), 0.6, 1)
+
+
+def test_the_summary_for_people_holds_tables_figures_and_provenance(run_study):
+    folder, summary = run_study("faults")
+    text = (folder / "summary.md").read_text()
+    assert text.startswith("# faults\n\n## Robots that cross (%)\n\n| ground | fault | camera |")
+    for name in ("crossed.png", "survival.png", "detection.png"):
+        assert f"![{name}]({name})" in text
+        assert (folder / name).exists()
+    assert f"| bundle hash | {'0' * 64} |" in text
+    assert f"| seed | {summary['settings']['seed']} |" in text
+
+
+def test_names_in_a_summary_are_no_markup(tmp_path):
+    origin = Provenance("[x](javascript:1)|<b>\x1b[31m", "", "native", 1)
+    write_summary(tmp_path / "summary.md", "a|b", [("T", ("one",), [("<i>",)])], [], origin)
+    text = (tmp_path / "summary.md").read_text()
+    for expected in ("# a\\|b", "\\<i\\>", "\\[x\\](javascript:1)\\|\\<b\\>"):
+        assert expected in text
+    assert "\x1b" not in text
 
 
 LAVA = ("lava",)

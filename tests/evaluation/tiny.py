@@ -5,7 +5,14 @@ from functools import partial
 
 import numpy as np
 
-from renet.evaluation.studies.report import STUDIES
+from renet.evaluation.studies.camera_use import CameraUseStudy
+from renet.evaluation.studies.faults import FaultStudy
+from renet.evaluation.studies.margins import MarginsStudy
+from renet.evaluation.studies.memory import MemoryStudy
+from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation.studies.standing import StandingStudy
+from renet.evaluation.studies.terrain import SuccessStudy, TerrainStudy
+from renet.evaluation.study import Study
 from renet.terrain.tiles import tiles
 
 from .fakes import FakeEnv, FakeEvaluator
@@ -77,6 +84,17 @@ class Obedient(FakeEnv):
         return pose
 
 
+CLASSES = (
+    NoiseStudy,
+    FaultStudy,
+    MemoryStudy,
+    CameraUseStudy,
+    SuccessStudy,
+    TerrainStudy,
+    StandingStudy,
+    MarginsStudy,
+)
+STUDIES: dict[str, type[Study]] = {study.name: study for study in CLASSES}
 SETTINGS: dict[str, dict] = {
     "noise": {"robots": 2, "onsets": (1.0,), "lasts": 4.0, "seconds": 5.0},
     "faults": {"faults": ("gaussian", "frozen"), "grounds": ("flat", "gap"), "severities": (1, 5)}

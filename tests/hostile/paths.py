@@ -42,8 +42,6 @@ VARIANTS: dict[str, list[list[str]]] = {
     "identify": [["recording.log", "--robot", "go2"]],
     "evaluate leaderboard": [["recording.log"]],
     "evaluate log": [["recording.log", "--out", "out"]],
-    "evaluate report --bundle": [["--run", "--out", "out.html"]],
-    "evaluate report": [["--out", "out.html"]],
 }
 """Options that a command, or one of its options, needs to go on to a path; none by default."""
 ACCEPTED = {

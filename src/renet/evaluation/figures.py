@@ -217,14 +217,11 @@ def share_panels(
     return figure
 
 
-def count_bars(counts: Mapping[str, int], names: Mapping[str, str], of: int, title: str) -> Figure:
+def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
     """A bar for each mode with its count of `of` robots written on its end."""
     figure, axis = plt.subplots(figsize=(9, 0.9 + 0.55 * len(counts)))
-    bars = axis.barh(
-        [names.get(mode, mode) for mode in counts],
-        [*counts.values()],
-        color=[MODE_COLOURS[mode] for mode in counts],
-    )
+    colours = [MODE_COLOURS[mode] for mode in counts]
+    bars = axis.barh([*counts], [*counts.values()], color=colours)
     axis.bar_label(bars, [f"{count} of {of}" for count in counts.values()], padding=5)
     axis.set(title=title, xlim=(0, 1.15 * of), xticks=[])
     axis.grid(False)

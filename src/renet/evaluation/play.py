@@ -95,7 +95,7 @@ def run_play(cfg: PlayCfg) -> Path:
     trials = [Trial(mode, faults) for mode in cfg.modes]
     rows, steps = range(len(trials)), round(cfg.seconds / CONTROL_DT)
     from renet.evaluation.evaluator import Evaluator
-    from renet.evaluation.report.video import film
+    from renet.evaluation.video import film
 
     with opened(cfg.bundle) as folder:
         evaluator = Evaluator(folder, cfg.engine)

@@ -1,4 +1,4 @@
-"""How a study leaves its numbers behind: JSON and CSV, written at once or not at all."""
+"""Files of results: JSON, CSV and Markdown, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 import renet
-from renet.errors import RenetError
+from renet.errors import RenetError, printable
 from renet.files import read_object, write_atomically
 from renet.version import commit
 
 Row = TypeVar("Row", bound=Mapping[str, Any])
+Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
+"""Title, header and rows."""
 
 
 @dataclass(frozen=True)
@@ -153,3 +155,43 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     writer.writeheader()
     writer.writerows(plain(row) for row in rows)
     write_atomically(path, text.getvalue().encode())
+
+
+def markdown(table: Table) -> str:
+    """A table under its title as Markdown; names from files are text and nothing else."""
+    title, header, rows = table
+    lines = [_line(header), _line(["---"] * len(header)), *map(_line, rows)]
+    return f"## {escape(title)}\n\n" + "".join(lines)
+
+
+def _line(cells: Sequence[object]) -> str:
+    """A row of a table as Markdown."""
+    return f"| {' | '.join(map(escape, cells))} |\n"
+
+
+def escape(value: object) -> str:
+    """A value as one line of Markdown in which nothing is markup."""
+    line = printable(str(value))
+    for character in "\\`*_[]<>|!":
+        line = line.replace(character, f"\\{character}")
+    return line
+
+
+def write_summary(
+    path: Path, title: str, tables: Sequence[Table], figures: Sequence[str], origin: Provenance
+) -> None:
+    """Write a study's results for people, as Markdown, atomically.
+
+    Args:
+        path: of the file.
+        title: heading of the whole.
+        tables: in their order.
+        figures: names of pictures in the same folder.
+        origin: provenance of the numbers.
+    """
+    sections = [f"# {escape(title)}\n", *map(markdown, tables)]
+    if figures:
+        sections.append("".join(f"![{name}]({name})\n\n" for name in figures).rstrip("\n") + "\n")
+    facts = [(name.replace("_", " "), value) for name, value in vars(origin).items()]
+    sections.append(markdown(("Provenance", ("", ""), facts)))
+    write_atomically(path, "\n".join(sections).encode())

@@ -2,8 +2,7 @@
 
 A study says what it varies (its fields), what it measures (`parts` and `summarise`) and how that is
 drawn (`draw` and `tables`). Running it, going on after an interruption, and writing
-`summary.json`, `summary.csv` and figures with their provenance is done here. The report shows a
-study with the template of its name.
+`summary.json`, `summary.csv`, figures and `summary.md` with their provenance is done here.
 """
 
 from __future__ import annotations
@@ -21,12 +20,14 @@ from renet.errors import RenetError, demand_name
 from renet.evaluation import figures
 from renet.evaluation.jobs import make_parts
 from renet.evaluation.results import (
+    Table,
     kept,
     output_folder,
     part_path,
     plain,
     write_csv,
     write_json,
+    write_summary,
 )
 from renet.evaluation.rollout import (
     Conditions,
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
 
 Part = dict[str, Any]
 """What is kept of one batch of robots; JSON after `plain`."""
-Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
-"""Title, header and rows."""
 Figures = Mapping[str, Figure]
 """By file name, such as "noise.png"."""
 PROCESSES = ("jobs", "shard")
@@ -80,7 +79,7 @@ class Study:
     """Settings that every study has; a subclass is one study."""
 
     out: Path = Path("results/study")
-    """Folder for summary.json, summary.csv, figures and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, figures and parts/."""
     bundle: Path | None = None
     """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour; or
     hf://OWNER/NAME on the Hugging Face Hub."""
@@ -103,7 +102,7 @@ class Study:
     all shares in one folder parts/, the command without --shard writes the results."""
 
     name: ClassVar[str]
-    """Name of the study's folder in the results, and of its template."""
+    """Name of the study, and of its folder in the results."""
     selectable: ClassVar[tuple[str, ...]] = ()
     """Settings on which no part's result depends: they select which parts are made."""
 
@@ -144,7 +143,7 @@ class Study:
         return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """What the command line prints."""
+        """Tables of a summary, for the command line and summary.md."""
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
@@ -203,8 +202,11 @@ class Study:
         ]
         write_csv(out / "summary.csv", rows)
         with plt.rc_context(figures.STYLE):
-            for name, figure in self.draw(summary, parts).items():
+            drawn = self.draw(summary, parts)
+            for name, figure in drawn.items():
                 figures.save(figure, out / name, provenance)
+        tables = self.tables(summary)
+        write_summary(out / "summary.md", self.name, tables, list(drawn), provenance)
         return summary
 
     def _make_share(self, make: PartMaker) -> None:

@@ -85,7 +85,7 @@ def test_claims_are_judged_by_what_was_measured():
     claims = findings(runs, usual(0), healthy(1, 2.5))["claims"]
     assert [claim["met"] for claim in claims] == [True, False, False, True, True, False]
     measured = {claim["claim"]: claim["measured"] for claim in claims}
-    text = "10 of 10 robots; by the paper's rule alone 0"
+    text = "10 of 10 robots; by the rule of mode switch 0"
     assert measured["frozen images are noticed"] == text
     # Where nothing makes VP fall, there is no delay to judge; without healthy hours no switches.
     harmless = findings(runs[:1], [], healthy(3, 2.0))["claims"]

@@ -95,7 +95,7 @@ def test_where_renet_crosses_less_often_than_op_alone_is_listed():
         for level, both in rates.items()
         for mode, rate in zip(("memory", "blind"), both, strict=False)
     ]
-    assert terrain.worse_than_op(runs) == [
+    assert terrain.worse_than_blind(runs) == [
         {"kind": "gap", "size_m": 0.2, "memory": 0.5, "blind": 0.8}
     ]
 

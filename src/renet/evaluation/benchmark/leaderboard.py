@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from renet.errors import RenetError, printable
+from renet.errors import RenetError
 from renet.evaluation.benchmark.results import VERSION, read_result, rows_of_entry
 from renet.evaluation.benchmark.scores import (
     LEAST_TRAININGS,
@@ -19,8 +19,7 @@ from renet.evaluation.benchmark.scores import (
     lead,
     score,
 )
-from renet.evaluation.results import grouped
-from renet.evaluation.study import Table
+from renet.evaluation.results import Table, grouped, markdown
 from renet.files import write_atomically
 from renet.terminal import show
 
@@ -174,21 +173,6 @@ def family_table(result: Result) -> Table:
     ]
     title = f"{result['policy']['name']}: crossed by family, %"
     return title, ("family", *families, "episodes"), rows
-
-
-def markdown(table: Table) -> str:
-    """A table as Markdown, in which names from files are text and nothing else."""
-    title, header, rows = table
-    lines = [" | ".join(map(_text, row)) for row in (header, ["---"] * len(header), *rows)]
-    return f"## {_text(title)}\n\n" + "".join(f"| {line} |\n" for line in lines)
-
-
-def _text(cell: object) -> str:
-    """A cell in which nothing is markup."""
-    line = printable(str(cell))
-    for character in "\\`*_[]<>|!":
-        line = line.replace(character, f"\\{character}")
-    return line
 
 
 def _percent(share: float | None) -> str:

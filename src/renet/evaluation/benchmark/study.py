@@ -29,7 +29,7 @@ class BenchmarkStudy(Study):
     """Who crosses what, while the camera fails on the way: renet-faults, version 3."""
 
     out: Path = Path("results/benchmark")
-    """Folder for summary.json, summary.csv, result.json and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, result.json and parts/."""
     policy: Path | None = None
     """Somebody else's model, .onnx or TorchScript (.pt), in place of a bundle."""
     adapter: str | None = None

@@ -86,7 +86,7 @@ class CameraUseStudy(LevelStudy):
     """Whether a policy uses its camera: twins that are shown wrong images, on six grounds."""
 
     out: Path = Path("results/camera_use")
-    """Folder for summary.json, summary.csv, camera_use.png and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, camera_use.png and parts/."""
     grounds: tuple[str, ...] = (
         "flat:1",
         "obstacles:6",
@@ -97,7 +97,7 @@ class CameraUseStudy(LevelStudy):
     )
     """Ground and level, KIND:LEVEL, such as gap:3 or flat:1."""
     modes: tuple[Mode, ...] = ("camera",)
-    """How RENet's own policies walk, one mode: vp looks always, op never; others' ignore it."""
+    """Mode of renet's own policies, one: camera looks always, blind never; others ignore it."""
     seconds: float = 10.0
     """Time to leave the tile."""
 

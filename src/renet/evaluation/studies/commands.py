@@ -55,7 +55,7 @@ class CommandStudy(WalkingStudy):
     """How closely robots on flat ground follow velocities and turn rates."""
 
     out: Path = Path("results/commands")
-    """Folder for summary.json, summary.csv, commands.png and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, commands.png and parts/."""
     modes: tuple[Mode, ...] = ("camera", "blind")
     seconds: float = 8.0
     """Length of each run, of which the first two seconds do not count."""
@@ -115,7 +115,7 @@ class CommandStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """One row for each command and mode."""
-        header = ("policy", "asked", "done", "fell", "drift", "W", "N m")
+        header = ("mode", "asked", "done", "fell", "drift", "W", "N m")
         rows = []
         for run in summary["runs"]:
             asked = " ".join(f"{value:g}" for value in run["command"])

@@ -1,4 +1,4 @@
-"""Findings of the study of single faults: claims, settings where RENet does harm, faults it misses.
+"""Findings of the study of single faults: claims, harmful settings, faults that go unnoticed.
 
 A walk over obstacles is chaotic: twins diverge by chance, in both directions. Falls under a fault
 are therefore compared with those of the same robots without it by Fisher's exact test (1922).
@@ -18,9 +18,9 @@ Runs = list[dict[str, Any]]
 CHANCE = 0.05
 """Probability below which a difference is not put down to chance."""
 MARGIN = 0.02
-"""RENet's survival may be this much below OP's before a setting is listed as harmful."""
+"""Survival in mode memory may be this much below blind's before a setting is listed as harmful."""
 SEVERE = 3
-"""Severity from which a fault that makes VP fall must be noticed."""
+"""Severity from which a fault that makes robots in mode camera fall must be noticed."""
 BLIND = {"frozen": ("frozen",), "uniform": ("blackout", "saturated", "occlusion")}
 """Faults whose severity 5 repeats one image, or leaves one value in the whole image."""
 
@@ -44,12 +44,12 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
     severe = [miss for miss in misses if miss["severity"] >= SEVERE]
     claims = [
         _chance_claim(
-            "on simple ground no fault makes RENet fall more often than OP, beyond chance",
+            "on simple ground no fault makes memory fall more often than blind, beyond chance",
             simple,
             "settings below",
         ),
         _chance_claim(
-            f"no fault of severity >= {SEVERE} that makes VP fall goes unnoticed",
+            f"no fault of severity >= {SEVERE} that makes camera fall goes unnoticed",
             severe,
             "settings not noticed by every robot",
         ),
@@ -61,7 +61,7 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
 
 
 def harmful(runs: Runs, baseline: Runs) -> Runs:
-    """Settings in which RENet survives less often than OP alone, beyond the margin.
+    """Settings in which robots survive less often in mode memory than blind, beyond the margin.
 
     Chance is judged fault by fault on each ground, all severities and onsets together.
     """
@@ -81,7 +81,7 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
 
 
 def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, Any]]:
-    """VP's rows, by setting, of the settings with more falls than its healthy twins have.
+    """Rows of mode camera, by setting, of the settings with more falls than its healthy twins have.
 
     `beyond_chance` is judged from all of a fault's severe settings on the ground together (of its
     mild ones where it has no severe ones).
@@ -98,7 +98,7 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, 
 
 
 def missed(runs: Runs, baseline: Runs) -> Runs:
-    """Faults that make VP fall and that the selector did not notice on every robot."""
+    """Faults that make mode camera fall and that not every robot in mode memory notices."""
     vp_rows = settings_vp_falls_in(runs, baseline)
     return [
         setting_of(r)._asdict()
@@ -155,7 +155,7 @@ def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
 
 
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
-    """The median of the severe settings' median delays where VP falls; nothing if it never does."""
+    """Median of severe settings' median delays where mode camera falls; empty if it never does."""
     vp = settings_vp_falls_in(runs, baseline)
     where = [
         r
@@ -167,7 +167,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
         return []
     delay = float(np.median([r["detection_delay_s"] for r in where]))
     worst = max(where, key=lambda r: r["detection_delay_p95_s"])
-    claim = f"median detection within 0.2 s of faults of severity >= {SEVERE} that make VP fall"
+    claim = f"median detection within 0.2 s of faults of severity >= {SEVERE} that make camera fall"
     measured = (
         f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
         f" ({setting_label(worst)})"
@@ -176,7 +176,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
 
 
 def _blind_claims(runs: Runs) -> Runs:
-    """Frozen and uniform images: noticed by the monitors, and what the paper's rule alone does."""
+    """Frozen and uniform images: noticed by the monitors, and by the rule of mode switch."""
     worst = [run for run in runs if run["mode"] == "memory" and run["severity"] == 5]
     claims = []
     for what, faults in BLIND.items():
@@ -185,7 +185,7 @@ def _blind_claims(runs: Runs) -> Runs:
             sum(run[name] for run in worst if run["fault"] in faults) for name in names
         )
         if robots:
-            measured = f"{detected} of {robots} robots; by the paper's rule alone {paper}"
+            measured = f"{detected} of {robots} robots; by the rule of mode switch {paper}"
             claim = f"{what} images are noticed"
             claims.append({"claim": claim, "met": detected == robots, "measured": measured})
     return claims

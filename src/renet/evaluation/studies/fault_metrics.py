@@ -98,7 +98,7 @@ def pair_counts(values: Values, twins: Values) -> dict[str, int]:
 
 
 def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
-    """How RENet's robots fare beside the same robots under OP; all None without these."""
+    """Gain in survival of robots in mode memory over the same robots blind; None without these."""
     if op is None:
         return dict.fromkeys(("over_op", "over_op_ci95_low", "over_op_ci95_high"))
     gain = np.array(values["upright"], float) - np.array(op["upright"], float)

@@ -48,11 +48,11 @@ Rows = Mapping[tuple[Any, str], dict[str, Any]]
 class FaultStudy(WalkingStudy):
     """Every way a depth camera fails, on several grounds, in every mode.
 
-    `--preset noise` is the paper's noise figure: VP alone against RENet under six noises.
+    `--preset noise` is the paper's noise figure: modes camera and memory under six noises.
     """
 
     out: Path = Path("results/faults")
-    """Folder for summary.json, summary.csv, figures and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, figures and parts/."""
     faults: tuple[str, ...] = LISTED
     """Faults to inject: NAME at all severities, or NAME:SEVERITY; by default 29 of them."""
     severities: tuple[int, ...] = SEVERITIES
@@ -79,7 +79,7 @@ class FaultStudy(WalkingStudy):
         _ = [setting.level for settings in self.batches.values() for setting in settings]
         super().__post_init__()
         if not self.vision_modes:
-            raise RenetError(f"modes {self.modes}: no camera fault matters to OP, add a mode")
+            raise RenetError(f"modes {self.modes}: no camera fault matters to blind, add a mode")
         if not any(self.batches.values()):
             raise RenetError("give a fault, a severity, a ground and an onset that fit together")
         if self.lasts <= 0 or self.healthy_minutes < 0:
@@ -131,7 +131,7 @@ class FaultStudy(WalkingStudy):
 
     @property
     def vision_modes(self) -> list[str]:
-        """Modes that use the camera; a robot in OP walks as its twin does."""
+        """Modes that use the camera; a blind robot walks as its twin does."""
         return [mode for mode in self.modes if mode != "blind"]
 
     def groups(self, settings: Sequence[Setting]) -> list[tuple[Setting, str]]:
@@ -246,7 +246,7 @@ class FaultStudy(WalkingStudy):
                 str(onset): self.measures(group, round(onset / CONTROL_DT)) for onset in self.onsets
             }
             runs.append(labels | fault_metrics.survival(group, until) | {"values": values})
-        # The first ground's robots come first. VP's walk as RENet's do: they would count twice.
+        # The first ground's robots come first. Other modes walk alike: they would count again.
         first = self.modes.index("memory") if "memory" in self.modes else 0
         simple = trace.robots(slice(first * each, (first + 1) * each))
         return {
@@ -256,7 +256,7 @@ class FaultStudy(WalkingStudy):
         } | self.curves(trace, self.modes)
 
     def _run_healthy(self, evaluator: Evaluator) -> Part:
-        """RENet with a camera that never fails: every departure from vision is a false switch."""
+        """Mode memory with a camera that never fails: leaving vision is a false switch."""
         minutes = self.healthy_minutes / (4 if self.quick else 1)
         robots = min(HEALTHY_ROBOTS, max(1, round(minutes)))
         steps = max(round(60 * minutes / robots / CONTROL_DT), STEPS_PER_TICK)
@@ -323,7 +323,7 @@ class FaultStudy(WalkingStudy):
         twin, onset = twins[setting.ground, mode], str(setting.onset)
         calm = twin["values"][onset]
         measured: dict[str, Any] | None = runs.get((setting, mode))
-        if measured is None:  # OP, which a fault does not change.
+        if measured is None:  # Mode blind, which a fault does not change.
             measured = dict.fromkeys(next(iter(runs.values())))
             measured |= {"detected": 0, "detected_by_paper": 0, "vision_active_at_onset": 0}
             measured |= twin | {"values": calm}
@@ -353,14 +353,17 @@ class FaultStudy(WalkingStudy):
         runs, cells = summary["runs"], figures.mean_cells
         modes = {mode: [r for r in runs if r["mode"] == mode] for mode in self.modes}
         obeying = modes.get("memory") or runs
-        selectors = {"RENet's selector": "detected", "the paper's rule alone": "detected_by_paper"}
+        selectors = {
+            "monitors of mode memory": "detected",
+            "rule of mode switch": "detected_by_paper",
+        }
 
         def noticed(name: str) -> figures.Cells:
             return cells(obeying, lambda r: r[name] / (r["vision_active_at_onset"] or np.nan))
 
         def panels(share: Callable[[Any], float], column: str = "severity") -> Any:
             tables = {mode: dict(cells(rows, share, column)) for mode, rows in modes.items()}
-            # OP sees no fault: one row at the foot of the others' tables.
+            # Blind robots see no fault: one row at the foot of the others' tables.
             blind = tables.pop("blind", {}) if len(tables) > 1 else {}
             row = {("blind, any fault", name): cell for (_, name), cell in blind.items()}
             return {mode: table | row for mode, table in tables.items()}
@@ -397,10 +400,28 @@ class FaultStudy(WalkingStudy):
             ("yes" if claim["met"] else "NO", claim["claim"], claim["measured"])
             for claim in summary["claims"]
         ]
-        return [
+        harmful = [
+            (figures.setting_label(h), f"{100 * h['memory']:.0f}", f"{100 * h['blind']:.0f}")
+            for h in summary["harmful"]
+            if h["beyond_chance"]
+        ]
+        missed = [
+            (figures.setting_label(m), m["undetected"], m["vp_falls"], m["vp_spared"])
+            for m in summary["missed"]
+            if m["beyond_chance"]
+        ]
+        tables: list[Table] = [
             ("Robots that cross (%)", ("ground", "fault", *self.modes), crossed),
             ("What is claimed, and what was measured", ("met", "claim", "measured"), claims),
         ]
+        if harmful:
+            title = "On their feet (%): fewer in mode memory than blind, beyond chance"
+            tables.append((title, ("setting", "memory", "blind"), harmful))
+        if missed:
+            title = "Faults that robots do not notice, and that make mode camera fall beyond chance"
+            header = ("setting", "do not notice", "fall by it in camera", "spared")
+            tables.append((title, header, missed))
+        return tables
 
 
 def _part_of(walk: Callable[[], Mapping[str, Part]], name: str) -> Part:

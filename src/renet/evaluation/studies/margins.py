@@ -115,7 +115,7 @@ class MarginsStudy(WalkingStudy):
     """How far a robot may be from the simulated one before more than 5 % of the robots fail."""
 
     out: Path = Path("results/margins")
-    """Folder for summary.json, summary.csv, margins.png and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, margins.png and parts/."""
     axes: tuple[str, ...] = tuple(AXES)
     """What is swept, one after the other."""
     grounds: tuple[Terrain, ...] = ("flat", "stairs_up", "obstacles")

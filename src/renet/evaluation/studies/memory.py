@@ -37,7 +37,7 @@ class MemoryStudy(LevelStudy):
     """How long a robot finds its way without an image."""
 
     out: Path = Path("results/memory")
-    """Folder for summary.json, summary.csv, memory.png and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, memory.png and parts/."""
     grounds: tuple[str, ...] = (
         "gap:3",
         "gap:5",
@@ -74,7 +74,7 @@ class MemoryStudy(LevelStudy):
 
     @property
     def settings(self) -> list[tuple[float, str]]:
-        """Seconds without an image and mode of each group; OP walks as with a healthy camera."""
+        """Seconds without an image and mode of each group; to blind robots no image is missing."""
         return [
             (seconds, mode)
             for mode in self.modes
@@ -131,7 +131,7 @@ class MemoryStudy(LevelStudy):
             f"{SIZES[kind]} {100 * size:.0f} cm": [
                 run | {"without_s": time}
                 for run in sorted(runs, key=lambda run: run["without_s"])
-                # OP, which never sees, has one share at all times.
+                # Mode blind, which never sees, has one share at all times.
                 for time in (times if run["mode"] == "blind" else [run["without_s"]])
             ]
             for (kind, size), runs in grouped(summary["runs"], "ground", "size_m").items()

@@ -1,4 +1,4 @@
-"""The fault study's preset `noise`: the paper's comparison of RENet with the VP estimator alone."""
+"""The fault study's preset `noise`: the paper's noise figure, modes camera and memory."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures
-from renet.evaluation.report.page import crossed, noise_rows
 from renet.evaluation.rollout import FLAT, Mode, Trial
 from renet.evaluation.studies.faults import FaultStudy, Setting
 from renet.evaluation.study import Figures, Part, Table
@@ -19,10 +18,10 @@ from renet.interface import Terrain
 
 @dataclass(frozen=True)
 class NoiseStudy(FaultStudy):
-    """The paper's noise figure: VP alone against RENet on flat ground, noise until the end."""
+    """The paper's noise figure: modes camera and memory on flat ground, noise until the end."""
 
     out: Path = Path("results/noise")
-    """Folder for summary.json, summary.csv, noise.png, timeline.png and parts/."""
+    """Folder for summary.md, summary.json, summary.csv, noise.png, timeline.png and parts/."""
     faults: tuple[str, ...] = (
         *(f"gaussian:{severity}" for severity in (2, 4, 5)),
         *(f"salt_and_pepper:{severity}" for severity in (2, 3, 5)),
@@ -70,7 +69,7 @@ class NoiseStudy(FaultStudy):
         for name, (setting,) in self.batches.items():
             batches[setting.fault, setting.level] = parts[name]
         curves = {
-            # OP walks alike under every noise.
+            # Blind robots walk alike under every noise.
             mode: {
                 setting: np.array(part["speed"].get(mode, parts["no_fault"]["speed"][mode]))
                 for setting, part in batches.items()
@@ -98,11 +97,37 @@ class NoiseStudy(FaultStudy):
                 figures.noise_label(run.get("fault", "none"), run.get("level", 0.0)),
                 f"{run['falls']} of {run['robots']}",
                 crossed(run),
-                "-" if (v := run["mean_forward_velocity"]) is None else f"{v:.2f}",
-                "-" if (s := run["detection_delay_s"]) is None else f"{1000 * s:.0f}",
+                as_text(run["mean_forward_velocity"], "{:.2f}"),
+                as_text(run.get("detection_delay_s"), "{:.0f}", 1000),
             )
-            for run in noise_rows(summary)
+            for run in self._rows(summary)
         ]
-        header = ("policy", "noise", "falls", "crossed", "speed (m/s)", "switch delay (ms)")
+        header = ("mode", "noise", "falls", "crossed", "speed (m/s)", "switch delay (ms)")
         grounds = ", ".join(self.grounds).replace("_", " ")
         return [(f"Camera noise: {grounds}", header, rows)]
+
+    def _rows(self, summary: dict[str, Any]) -> list[dict[str, Any]]:
+        """Rows without noise, then those with it, mode by mode."""
+        rows = list(summary["baseline"])
+        for mode in self.modes:
+            for run in summary["runs"]:
+                if run["mode"] != mode:
+                    continue
+                if mode != "memory":
+                    # Robots of other modes do not obey the monitors whose delay this is.
+                    run = run | {"detection_delay_s": None}
+                rows.append(run)
+        return rows
+
+
+def crossed(run: Mapping[str, Any]) -> str:
+    """Number of robots of a row that crossed; flat ground has no end."""
+    if run["ground"] == FLAT:
+        return "-"
+    share = run["measures"]["crossed"]["value"]
+    return f"{share * run['robots']:.0f} of {run['robots']}"
+
+
+def as_text(value: float | None, form: str, scale: float = 1.0) -> str:
+    """A number in a format, or a dash where it was not measured."""
+    return "-" if value is None else form.format(scale * value)

@@ -35,7 +35,7 @@ class StandingStudy(TerrainStudy):
     """
 
     out: Path = Path("results/standing")
-    """Folder for summary.json, summary.csv and parts/."""
+    """Folder for summary.md, summary.json, summary.csv and parts/."""
     kinds: tuple[Terrain, ...] = (FLAT, "rough", "obstacles", "stairs_up", "stairs_down")
     """Ground to stop on."""
     levels: tuple[int, ...] = (3,)

@@ -33,7 +33,7 @@ class StopsStudy(WalkingStudy):
     """Whether robots that are told to go on stop before walls and ledges."""
 
     out: Path = Path("results/stops")
-    """Folder for summary.json, summary.csv and parts/."""
+    """Folder for summary.md, summary.json, summary.csv and parts/."""
     kinds: tuple[Literal["wall", "ledge"], ...] = ("wall", "ledge")
     """What stands in the way."""
     height: float = 1.0
@@ -101,7 +101,7 @@ class StopsStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The rows."""
-        header = ("barrier", "angle (degrees)", "policy", "fell", "walked (m)")
+        header = ("barrier", "angle (degrees)", "mode", "fell", "walked (m)")
         rows = []
         for run in summary["runs"]:
             walked = "-" if run["walked_m"] is None else f"{run['walked_m']:.2f}"

@@ -1,1 +1,0 @@
-"""Figures, videos and the HTML page."""
