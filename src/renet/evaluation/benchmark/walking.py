@@ -23,7 +23,8 @@ from renet.evaluation.trace import StepResult
 from renet.faults import Frames, PhysicalFault, ViewPerturbation
 from renet.faults.base import Fault
 from renet.interface import CONTROL_DT
-from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.robots import Robot
+from renet.tasks import RenetEnvCfg
 from renet.tasks.mdp.commands import goal
 from renet.tasks.parkour_env_cfg import parkour_env_cfg, randomize, tile_env_cfg
 from renet.tasks.terrains import course_row
@@ -46,7 +47,7 @@ _FIRST_SPEED = 0.5
 """Commanded speed of the first control step, before the episode's is set, m/s."""
 
 
-def course_env_cfg(courses: dict[str, Course], robot: RobotCfg) -> RenetEnvCfg:
+def course_env_cfg(courses: dict[str, Course], robot: Robot) -> RenetEnvCfg:
     """Task of courses side by side, by name, with the robots, sensors and pushes of training.
 
     The ranges are those of the training recipe at the time when version 3 was frozen, and those of
@@ -370,7 +371,7 @@ def walk_episodes(
 
 def _walk_on(
     evaluator: Evaluator,
-    robot: RobotCfg,
+    robot: Robot,
     episodes: Sequence[Episode],
     modes: dict[str, str],
     seed: int,
