@@ -150,7 +150,9 @@ def _store(
         print(f"VP drives from memory until it {limit}has had no image for {longest:.3g} s")
     rate = f"{cfg.false_alarms_per_hour:g} false alarms per hour"
     title = f"Thresholds for {rate}, from {hours:.2f} healthy robot hours"
-    rows = [(name, f"{value:.4g}") for name, value in thresholds.items()]
+    rows = []
+    for name, value in thresholds.items():
+        rows.append((name, f"{value:.4g}"))
     show(title, ("monitor", "threshold"), rows)
     return beta
 

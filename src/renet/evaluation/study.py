@@ -225,6 +225,7 @@ class Study:
         for run in summary["runs"]:
             rows.append({k: v for k, v in run.items() if not isinstance(v, (list, dict))})
         write_csv(self.out / "summary.csv", rows)
+        # matplotlib makes ticks when a figure is saved: the style must hold until then.
         with plt.rc_context(figures.STYLE):
             drawings = self.draw(summary, parts)
             for name, figure in drawings.items():

@@ -100,15 +100,18 @@ class Trace(TrueState):
 
     def until(self, steps: int) -> Trace:
         """The first control steps, without film."""
-        return Trace(**{name: array[:steps] for name, array in self._arrays()})
+        return self._part(np.s_[:steps])
 
     def robots(self, index: slice | np.ndarray) -> Trace:
         """Some robots, by their places or a mask [N], without film."""
-        return Trace(**{name: array[..., index] for name, array in self._arrays()})
+        return self._part(np.s_[..., index])
 
-    def _arrays(self) -> list[tuple[str, Any]]:
-        """Names and arrays of all fields but the film."""
-        return [(name, array) for name, array in vars(self).items() if name != "film"]
+    def _part(self, index: Any) -> Trace:
+        """A part of every array by its index, without film."""
+        arrays = dict(vars(self))
+        # A film has other robots and steps than the arrays.
+        del arrays["film"]
+        return Trace(**{name: array[index] for name, array in arrays.items()})
 
     def groups(self, each: int) -> list[Trace]:
         """Traces of the robots in their order, `each` in a group."""

@@ -89,6 +89,7 @@ class OffsetAdapter(Adapter):
 
     def reset(self, mask: np.ndarray) -> None:
         """Clear the last action of the masked robots, [N] bool."""
+        # The first observation of an episode has no action before it.
         self._action[mask] = 0.0
 
     def _target(self) -> np.ndarray:

@@ -22,6 +22,7 @@ class Adapter(base.OffsetAdapter):
 
     def act(self, senses: base.Senses) -> np.ndarray:
         """Joint targets, [N, 12] rad."""
+        # Joints are in renet's own order.
         observation = np.concatenate(
             (
                 senses.velocity,

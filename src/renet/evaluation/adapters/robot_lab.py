@@ -20,6 +20,7 @@ class Adapter(base.OffsetAdapter):
 
     def act(self, senses: base.Senses) -> np.ndarray:
         """Joint targets, [N, 12] rad."""
+        # Joints are in renet's own order.
         observation = np.concatenate(
             (
                 senses.angular_velocity * 0.25,

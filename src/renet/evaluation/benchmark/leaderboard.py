@@ -52,7 +52,7 @@ class LeaderboardCfg:
 
 
 @dataclass(frozen=True)
-class Entry:
+class LeaderboardEntry:
     """Line of the leaderboard: an entry of one policy, or of several trainings of one method."""
 
     method: str
@@ -71,7 +71,7 @@ class Entry:
         """Low and high end of the score's 95 % interval, and the samples it is taken over."""
         # The interval of a method is over its trainings, if there are enough of them.
         if len(self.trainings) >= LEAST_TRAININGS:
-            means = [score_rows(rows)["score"] for rows in self.trainings]
+            means = column(list(map(score_rows, self.trainings)), "score")
             return (*interval_over_trainings(means), f"{len(means)} trainings")
         scores = self.scores
         return scores["ci95_low"], scores["ci95_high"], "episodes"
@@ -91,7 +91,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     return cfg.out
 
 
-def entries_of(results: Sequence[Result]) -> list[Entry]:
+def entries_of(results: Sequence[Result]) -> list[LeaderboardEntry]:
     """Entries of result files in the files' order, the trainings of one method joined."""
     # Rows of each training by method, entry and robot.
     trainings: dict[tuple[str, str, str], list[Sequence[Mapping[str, Any]]]] = {}
@@ -102,11 +102,11 @@ def entries_of(results: Sequence[Result]) -> list[Entry]:
             trainings.setdefault(key, []).append(rows_of_entry(result, name))
     entries = []
     for (method, name, robot), rows in trainings.items():
-        entries.append(Entry(method, name, robot, tuple(rows)))
+        entries.append(LeaderboardEntry(method, name, robot, tuple(rows)))
     return entries
 
 
-def rank_entries(results: Sequence[Result]) -> list[Entry]:
+def rank_entries(results: Sequence[Result]) -> list[LeaderboardEntry]:
     """Entries of result files, best first; raises RenetError if their episodes differ."""
     if len(set(column(results, "episodes"))) > 1:
         raise RenetError("give results of the same episodes: all quick, all full, or all sealed")
@@ -130,7 +130,7 @@ def ranking(results: Sequence[Result]) -> Table:
     return title, _COLUMNS, rows
 
 
-def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
+def _line(place: int, entry: LeaderboardEntry, reference: LeaderboardEntry) -> tuple[str, ...]:
     """Row of the ranking for an entry at a place, compared with a reference."""
     low, high, over = entry.interval
     # The reference has no difference to itself.
@@ -163,7 +163,7 @@ def measures(results: Sequence[Result]) -> Table:
     return "Measures", ("policy", "entry", *_MEASURES.values()), rows
 
 
-def _mean_rows(entry: Entry) -> list[dict[str, Any]]:
+def _mean_rows(entry: LeaderboardEntry) -> list[dict[str, Any]]:
     """One row for each episode, with the obstacles crossed averaged over the trainings."""
     means = []
     for rows in zip(*entry.trainings, strict=True):

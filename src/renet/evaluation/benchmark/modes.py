@@ -20,6 +20,7 @@ ROLLOUT_MODES: dict[str, str] = {
     "camera": "camera",
     "blind": "blind",
     "oracle": "oracle",
+    # The rollout knows no such mode: only the faults are missing.
     HEALTHY: "camera",
 }
 """The rollout's mode of each entry."""

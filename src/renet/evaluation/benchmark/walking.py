@@ -194,7 +194,7 @@ class CourseEnv:
             passed.append(int((edges <= position).sum()))
         # What a robot passes while it falls does not count.
         walk.crossed = np.where(live & ~fell, passed, walk.crossed)
-        walk.arrived |= live & ~fell & (walk.crossed == [len(e) for e in self._last_edges])
+        walk.arrived |= live & ~fell & (walk.crossed == list(map(len, self._last_edges)))
         walk.fell |= live & fell
         walk.seconds += CONTROL_DT * live
         walk.metres = np.where(live, self.farthest, walk.metres)
@@ -352,7 +352,7 @@ def walk_episodes(
     """
     # One simulation holds one kind of robot.
     robots = {False: evaluator.robot, True: stranger(evaluator.robot)}
-    parts: dict[str, list[Walk]] = {entry: [] for entry in modes}
+    parts: dict[str, list[Walk]] = {}
     order: list[int] = []
     for is_stranger, robot in robots.items():
         places = np.flatnonzero(_values(episodes, "stranger") == is_stranger).tolist()
@@ -362,7 +362,7 @@ def walk_episodes(
         bar = f"{title}, stranger" if is_stranger else title
         walks = _walk_on(evaluator, robot, group, modes, seed, bar, sealed)
         for entry, walk in walks.items():
-            parts[entry].append(walk)
+            parts.setdefault(entry, []).append(walk)
         order += places
     # Back to the episodes' order.
     back = np.argsort(order)

@@ -48,7 +48,7 @@ class NoiseStudy(FaultStudy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if any(len(settings) > 1 for settings in self.batches.values()):
+        if max(map(len, self.batches.values())) > 1:
             raise RenetError("give the noise study one ground, one onset, and NAME:SEVERITY")
 
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:

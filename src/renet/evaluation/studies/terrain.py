@@ -102,6 +102,7 @@ class TerrainStudy(WalkingStudy):
             raise RenetError(f"seconds must be at least 1, got {self.seconds}")
         # Raises for a fault that is unknown.
         _ = self.schedule
+        # The dataclass is frozen, and a ground of one's own replaces the kinds of tile.
         if self.scene is not None:
             object.__setattr__(self, "kinds", (KIND,))
             if isinstance(self.tiles[KIND], OwnScene):
@@ -262,8 +263,10 @@ class TerrainStudy(WalkingStudy):
         first = [place for place, (_, mode) in enumerate(self.settings) if mode == self.modes[0]]
         # Highest level of each robot, by kind.
         highest = {}
+        levels_by_kind = {}
         for kind in self.kinds:
             highest[kind] = highest_level(np.array(parts[kind]["passed"], bool)[first])
+            levels_by_kind[kind] = float(highest[kind].mean())
         levels = {}
         intervals = {}
         for heading, kinds in TABLE.items():
@@ -277,7 +280,7 @@ class TerrainStudy(WalkingStudy):
         return {
             "levels": levels,
             "levels_ci95": intervals,
-            "levels_by_kind": {kind: float(value.mean()) for kind, value in highest.items()},
+            "levels_by_kind": levels_by_kind,
             "collisions": sum(column(batches, "collisions")) / steps,
             "lin_vel_reward": sum(column(batches, "lin_vel_reward")) / steps,
             "falls_on_flat": parts["flat"]["falls"],
