@@ -116,7 +116,7 @@ COMMANDS = {
     ),
     "recipe": _train(
         "print every setting of a checkpoint or a new run",
-        "renet.training.train:RecipeCfg:show",
+        "renet.training.train:RecipeCfg:show_recipe",
         options="renet.options:RecipeCfg",
     ),
     "export": _train(

@@ -108,11 +108,10 @@ class ReachStudy(WalkingStudy):
     def _walk(self, evaluator: Evaluator, name: str, gap: Gap, metres: float) -> Part:
         """Walk with each conduct at one scene, and with a healthy camera."""
         from renet.tasks.parkour_env_cfg import tile_env_cfg
-        from renet.tasks.terrains import UNSEEN as UNSEEN_TILES
-        from renet.tasks.terrains import parkour_terrain
+        from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
         kinds: dict[str, Tile] = {"gap": gap}
-        terrain = parkour_terrain(UNSEEN_TILES, kinds, levels=1)
+        terrain = parkour_terrain(EVALUATION_SEED, kinds, levels=1)
         cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
         evaluator.set_conditions(cfg)
         each = self.robots_each
