@@ -27,7 +27,7 @@ from renet.evaluation.trace import Trace
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, Unseen
 from renet.pilot.reach import UNSEEN
-from renet.terrain.tiles import TILE, Gap, Tile
+from renet.terrain.tiles import TILE, GapTile, Tile
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -84,7 +84,7 @@ class ReachStudy(WalkingStudy):
                 )
 
     @property
-    def two_gaps(self) -> Gap:
+    def two_gaps(self) -> GapTile:
         """The tile of two gaps in a row."""
         gap = single_gap(self.pair, PAIR_AT)
         return replace(gap, ground=self.between, landing=LAST_GROUND)
@@ -105,7 +105,7 @@ class ReachStudy(WalkingStudy):
             for name, (gap, metres) in scenes.items()
         }
 
-    def _walk(self, evaluator: Evaluator, name: str, gap: Gap, metres: float) -> Part:
+    def _walk(self, evaluator: Evaluator, name: str, gap: GapTile, metres: float) -> Part:
         """Walk with each conduct at one scene, and with a healthy camera."""
         from renet.tasks.parkour_env_cfg import tile_env_cfg
         from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
@@ -137,7 +137,7 @@ class ReachStudy(WalkingStudy):
         runs = [scene | {"unseen": label} | self._row(group, gap) for label, group in groups]
         return {"runs": runs}
 
-    def _row(self, trace: Trace, gap: Gap) -> dict[str, Any]:
+    def _row(self, trace: Trace, gap: GapTile) -> dict[str, Any]:
         """Ends of the first tries of one group of robots."""
         crossed, fell, _ = trace.first_try()
         from_edge = gap.island - trace.travelled[self.onset]
@@ -191,6 +191,6 @@ class ReachStudy(WalkingStudy):
         return [(f"Cameras that die before a gap, {self.robots_each} robots each", header, rows)]
 
 
-def single_gap(width: float, metres: float) -> Gap:
+def single_gap(width: float, metres: float) -> GapTile:
     """A tile with one gap whose edge is `metres` beyond the run-up, m."""
-    return Gap(low=width, high=width, island=RUN_UP + metres)
+    return GapTile(low=width, high=width, island=RUN_UP + metres)
