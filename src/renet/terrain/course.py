@@ -59,7 +59,7 @@ class Strip(TileBuilder):
         self.bottom = bottom
 
     def ground(self, start: float, end: float, top: float, color: Color = STONE) -> None:
-        """Add ground over the whole width, from `start` to `end` along x, at the height `top`, m."""
+        """Add ground over the whole width, between two x, with its surface at `top`, m."""
         self.box((start, end), (-WIDTH / 2, WIDTH / 2), (self.bottom, top), color)
 
     def obstacle(self, x: Range, z: Range, color: Color = ACCENT, y: Range | None = None) -> None:
