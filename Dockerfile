@@ -8,4 +8,4 @@ RUN useradd --create-home renet && mkdir /results && chown renet /results
 USER renet
 # A folder of yours to mount: docker run --rm --user "$(id -u)" -v "$PWD/results:/results" renet
 WORKDIR /results
-CMD ["renet", "deploy", "--robot", "mujoco", "--camera", "sim", "--terrain", "gap", "--level", "5", "--fault", "blackout@3.3s", "--seconds", "10", "--out", "/results/deploy"]
+CMD ["renet", "deploy", "--robot", "mujoco", "--camera", "sim", "--terrain", "gap", "--level", "6", "--fault", "unplugged@3.2s", "--seconds", "10", "--out", "/results/deploy"]

@@ -11,6 +11,10 @@ figure() { cp "results/$1" "docs/figures/$2"; }
 
 study success terrain --preset success --modes camera blind
 study success_100 terrain --preset success --modes camera --levels 8 10 --robots 100
+gaps="--kinds gap --robots 100 --modes camera switch blind memory"
+study gap_dead terrain --preset success $gaps --levels 5 8 10 --fault unplugged
+study gap_gaussian terrain --preset success $gaps --levels 8 --fault gaussian:5
+study gap_blackout terrain --preset success $gaps --levels 8 --fault blackout:5
 study dawn terrain --preset dawn
 study terrain terrain --modes camera memory
 study standing terrain --preset standing

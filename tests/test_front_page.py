@@ -22,7 +22,7 @@ def test_the_readme_has_two_commands():
     commands = re.findall(r"```bash\n(.*?)```", README, re.DOTALL)
     assert len(commands) == 2
     assert all("-m venv .venv" in command and "pip install -c" in command for command in commands)
-    assert "--terrain gap --level 5 --fault blackout@3.3s" in commands[0]
+    assert "--terrain gap --level 6 --fault unplugged@3.2s" in commands[0]
     assert commands[1].endswith("&& pytest\n")
 
 
@@ -36,47 +36,45 @@ def test_python_of_the_readme_runs():
 def test_the_citation_is_that_of_the_citation_file():
     source = (ROOT / "CITATION.cff").read_text()
     names = re.findall(r"family-names: (\w+), given-names: (\w+)", source)
-    (authors,) = re.findall(r"author += \{(.*?)\}", README, re.DOTALL)
+    (article,) = re.findall(r"@article\{.*?\n\}", README, re.DOTALL)
+    (authors,) = re.findall(r"author += \{(.*?)\}", article, re.DOTALL)
     assert re.split(r"\s+and\s+", authors) == [f"{last}, {first}" for last, first in names]
-    (title,) = re.findall(r"title += \{(.*?)\},\n", README, re.DOTALL)
+    (title,) = re.findall(r"title += \{(.*?)\},\n", article, re.DOTALL)
     words = title.replace("{", "").replace("}", "").split()
     assert " ".join(words) in " ".join(source.split())
+    (software,) = re.findall(r"@software\{.*?\n\}", README, re.DOTALL)
+    (title,) = re.findall(r"^title: \"(.+)\"$", source, re.MULTILINE)
+    assert f"{{{title}}}" in software
+    assert f"version = {{{renet.__version__}}}" in software
 
 
-# The cells of the README's table beside the first, by the first.
-LINES = re.findall(r"^\| \[(.+?)\]\(.+?\) \| (.+?) \| (.+?) \| (.+?) \|$", README, re.MULTILINE)
-ROWS = {name: cells for name, *cells in LINES}
+# The numbers of the README's table by obstacle and file of results.
+LINES = re.findall(r"^\| \[(.+?)\]\((.+?)\) \| (.+) \|$", README, re.MULTILINE)
 
 
-def counts(runs: list[dict]) -> list[str]:
-    """The cells of a row: how many cross, by mode."""
-    crossed = {run["mode"]: f"{run['crossed']} of {run['robots']}" for run in runs}
-    return [crossed[mode] for mode in ("camera", "oracle", "memory")]
+def test_numbers_of_the_readme_are_those_of_the_studies():
+    assert len(LINES) == 5
+    for obstacle, path, cells in LINES:
+        study = json.loads((ROOT / path).read_text())
+        assert study["settings"]["robots"] == 100
+        (size,) = re.findall(r"gap of (\d+) cm", obstacle)
+        passed = {
+            run["mode"]: str(run["passed"])
+            for run in study["runs"]
+            if round(100 * run["size_m"]) == int(size)
+        }
+        assert cells.split(" | ") == [
+            passed[mode] for mode in ("camera", "switch", "blind", "memory")
+        ]
 
 
-def test_counts_of_the_readme_are_those_of_the_memory_study_and_of_the_demo():
-    memory, demo = result("shipped/memory.json"), result("shipped/demo.json")
-    gap = [run for run in memory["runs"] if (run["ground"], run["level"]) == ("gap", 5)]
-    assert round(100 * gap[0]["size_m"]) == round(100 * demo["gap_m"]) == 37
-    names = [name for name in ROWS if name.startswith(("leap", "the same"))]
-    black = [[r for r in gap if r["without_s"] == seconds] for seconds in (0.0, 8.0)]
-    expected = [*map(counts, black), counts(demo["runs"])]
-    assert [ROWS[name] for name in names] == expected
-    (left, right) = re.findall(r"pairs (\d+) left robots crossed and (\d+) right", README)[0]
-    assert [f"{left} of 20", f"{right} of 20"] == [expected[2][0], expected[2][2]]
-    assert memory["settings"]["before"] == demo["before_s"] == 0.5
-
-
-def test_speeds_of_the_readme_are_those_in_the_strongest_noise():
-    noise = result("shipped/noise.json")
-    (name,) = (name for name in ROWS if "asked for" in name)
-    assert f"{noise['settings']['speed']} m/s asked for" in name
-    speeds = {
-        run["mode"]: f"{run['mean_forward_velocity']:.2f} m/s"
-        for run in noise["runs"]
-        if (run["fault"], run["severity"]) == ("gaussian", 5)
-    }
-    assert ROWS[name] == [speeds["camera"], "–", speeds["memory"]]
+def test_pairs_of_the_film_are_those_of_the_demo():
+    demo = result("shipped/demo.json")
+    crossed = {run["mode"]: run["crossed"] for run in demo["runs"]}
+    (pair,) = re.findall(r"pairs (\d+) left robots crossed and (\d+) right", README)
+    assert [int(count) for count in pair] == [crossed["switch"], crossed["memory"]]
+    assert demo["runs"][0]["robots"] == 20
+    assert f"a gap of\n{100 * demo['gap_m']:.0f} cm" in README
 
 
 def test_the_change_log_knows_this_version():

@@ -6,6 +6,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from renet.errors import RenetError
 from renet.evaluation import demo, painter, video
@@ -95,8 +96,8 @@ def test_the_page_says_what_was_measured_and_needs_no_network(tmp_path, monkeypa
     monkeypatch.setattr(demo, "SHOWN", (0.2, 0.6))
     sentence = run_demo(DemoStudy(tmp_path, robots=3, seconds=3.4), GapEvaluator(9.0))
     assert sentence == (
-        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots each cross 0 in mode camera,"
-        " 0 in mode switch, 0 in mode oracle, 3 in mode memory."
+        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots each cross 0 in mode switch,"
+        " 0 in mode camera, 0 in mode oracle, 3 in mode memory."
     )
     names = "index.html summary.md summary.json summary.csv demo.png film.mp4 parts"
     assert {path.name for path in tmp_path.iterdir()} == set(names.split())
@@ -106,6 +107,27 @@ def test_the_page_says_what_was_measured_and_needs_no_network(tmp_path, monkeypa
     assert "$" not in text
     assert all(words in text for words in ("3 of 3", "number 1 of 3"))
     assert "no memory" not in text
+
+
+def test_the_film_says_who_fell_and_who_crossed(tmp_path, monkeypatch):
+    written = set()
+
+    def write(image, outcome, colour):
+        written.add(outcome)
+
+    monkeypatch.setattr(painter, "PANEL", (120, 90))
+    monkeypatch.setattr(video, "_write_outcome", write)
+    monkeypatch.setattr(demo, "MARGIN", -0.5)
+    monkeypatch.setattr(demo, "SHOWN", (0.2, 1.2))
+    run_demo(DemoStudy(tmp_path, robots=1, seconds=3.4), GapEvaluator(9.0))
+    assert written == {"fell", "crossed"}
+
+
+def test_an_outcome_takes_the_place_of_the_state():
+    image = Image.new("RGB", (400, 300))
+    video._write_outcome(image, "crossed", video.DARK_GREEN)
+    assert image.getpixel((310, 2)) == video.DARK_GREEN
+    assert image.getpixel((100, 2)) == (0, 0, 0)
 
 
 def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):

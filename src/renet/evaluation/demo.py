@@ -36,7 +36,9 @@ BEFORE = 0.5
 """Seconds before the edge, at the commanded speed, at which cameras die."""
 STRIDE, SLOWLY = 2, 2.0
 """Control steps from one picture of the film to the next; half of it for seconds after death."""
-SHOWN = 1.0, 4.0
+MARGIN = 0.5
+"""Distance beyond the gap at which a robot has crossed it, m."""
+SHOWN = 1.0, 3.2
 """Seconds of the film before and after death."""
 CONSEQUENCES = {
     "memory": "VP walks on from the ground that it remembers",
@@ -56,7 +58,7 @@ class DemoStudy(WalkingStudy):
 
     out: Path = Path("renet-demo")
     """Folder for index.html, film.mp4, demo.png, summary.md, .json and .csv, and parts/."""
-    modes: tuple[Mode, ...] = ("camera", "switch", "oracle", "memory")
+    modes: tuple[Mode, ...] = ("switch", "camera", "oracle", "memory")
     """Policy modes to compare; the film shows the first beside the last."""
     seconds: float = 9.0
     """Time to leave the tile."""
@@ -113,7 +115,9 @@ class DemoStudy(WalkingStudy):
         places = dict.fromkeys((pair, (len(self.modes) - 1) * each + pair))
         titles = {place: trials[place].mode for place in places}
         self._forget()
-        film(self.out / "film.mp4", env.scene_spec, trace, titles, "no image", self.pace(trace))
+        beyond = EDGES[GROUND] + self.gap + MARGIN
+        path = self.out / "film.mp4"
+        film(path, env.scene_spec, trace, titles, "no image", self.pace(trace), beyond)
         return {
             "crossed": crossed,
             "fell": fell,

@@ -19,7 +19,12 @@ from renet.terminal import progress
 
 _font = ImageFont.load_default
 """Pillow's own font: the same everywhere, nothing to install."""
-GREEN, RED, WHITE = (126, 200, 120), (235, 92, 80), (245, 245, 245)
+GREEN = (126, 200, 120)
+RED = (235, 92, 80)
+WHITE = (245, 245, 245)
+DARK_GREEN = (30, 110, 50)
+DARK_RED = (170, 30, 25)
+"""Of outcomes, which white text is read on."""
 SHADE = (16, 18, 22, 190)
 """Behind texts."""
 FPS = 25
@@ -35,6 +40,7 @@ def film(
     titles: Mapping[int, str],
     fault: str,
     steps: Sequence[int] = (),
+    goal: float = np.inf,
 ) -> Path:
     """Draw robots side by side and write an mp4 that any browser plays, beside a progress bar.
 
@@ -46,6 +52,7 @@ def film(
         titles: what to call the robots that are shown, by their places in the trace.
         fault: what to call a failing camera.
         steps: control steps of the pictures; all of them, at the clock's pace, by default.
+        goal: distance from its start from which on a robot has crossed, m.
     """
     poses, robots = trace.film.poses, list(titles)  # type: ignore[union-attr]
     painter = Painter(spec, poses[0, robots])
@@ -61,8 +68,9 @@ def film(
                 _draw_map(image, view, painter, trace, at, robot)
                 _stamp(image, trace, at, robot, titles[robot], fault)
                 if trace.fallen[step, robot]:
-                    fell = {"font": _font(30), "stroke_width": 2, "stroke_fill": WHITE}
-                    ImageDraw.Draw(image).text((12, 30), "fell", RED, **fell)
+                    _write_outcome(image, "fell", DARK_RED)
+                elif trace.travelled[at, robot] >= goal:
+                    _write_outcome(image, "crossed", DARK_GREEN)
                 panels.append(np.asarray(image))
             yield np.hstack(panels)
 
@@ -72,6 +80,14 @@ def film(
         raise RenetError(f"cannot write {path}: {str(error).splitlines()[0]}") from error
     write_atomically(path, video)
     return path
+
+
+def _write_outcome(image: Image.Image, outcome: str, colour: tuple[int, int, int]) -> None:
+    """Write how a robot's try ended, large, and in place of its state."""
+    draw = ImageDraw.Draw(image)
+    draw.text((12, 30), outcome, colour, font=_font(44), stroke_width=2, stroke_fill=WHITE)
+    draw.rectangle((image.width - 92, 0, image.width, 24), fill=colour)
+    draw.text((image.width - 8, 4), outcome, font=_font(14), fill=WHITE, anchor="ra")
 
 
 def _state(trace: Trace, step: int, robot: int) -> str:
