@@ -66,13 +66,7 @@ class BundlePolicy:
         num_robots: int = 1,
         inference: Callable[[Sessions], InlineInference] = InlineInference,
     ) -> None:
-        """Initialize the policy.
-
-        Args:
-            bundle: The bundle.
-            num_robots: Number of robots, N.
-            inference: Class that runs the ticks, by default in line.
-        """
+        """Initialize a policy of N robots; `inference` runs its ticks, by default in line."""
         self.manifest = bundle.manifest
         self.sessions = bundle.sessions
         self.inference = inference(bundle.sessions)

@@ -275,7 +275,7 @@ class MonitorSelector:
         return self._scorer.scores(seen, limits.names) < limits.values
 
     def _explain(self, robots: np.ndarray, seen: SelectorInput) -> None:
-        """Set the reasons of the masked robots, [N] bool, to those of the first monitors to object."""
+        """Set the reason of each masked robot, [N] bool, to that of the first monitor to object."""
         if not robots.any():
             return
         # The scorer has counted the images already.
