@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.errors import RenetError
 
 COMMAND = ("-m", "renet.cli", "deploy", "--terrain", "obstacles", "--seconds", "30", "--out")
@@ -93,5 +93,5 @@ class Flights(threading.Thread):
 
     def _recordings(self) -> dict[str, Path]:
         """All recordings by a hash of their content."""
-        files = self._out.rglob("recording.log")
+        files = self._out.rglob("recording.mcap")
         return {hashlib.sha256(file.read_bytes()).hexdigest(): file for file in files}

@@ -31,9 +31,9 @@ from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
-from renet.descriptions import find_description
 from renet.interface import CONTROL_DT, JOINTS, Terrain
 from renet.motor_models import IDEAL, find_motors
+from renet.robots import find_robot
 
 PARTS = ("encoder", "encoders", "gyroscope", "attitude", "imu", "motor")
 KINDS = ("freezes", "sticks", "drifts", "dies")
@@ -205,7 +205,7 @@ def walk(cfg: Cfg, fault: Fault | None, seed: int, terrain: str, seconds: float)
     bundle, random = Bundle.load(Path(cfg.bundle)), np.random.default_rng(seed)
     spec = bundle.manifest.robot
     level = int(random.integers(1, 8))
-    model, ground = build_scene(terrain, level, None, seed, find_description(spec.name))
+    model, ground = build_scene(terrain, level, None, seed, find_robot(spec.name))
     motors = find_motors(cfg.motors, spec.name)
     options = {} if motors is None else {"motors": motors}
     robot = FailingRobot(fault, seed, model, spec, ground, **options)

@@ -21,8 +21,8 @@ from tests.browser import open_browser
 
 from renet.server import serve_folder
 
-AFTER = 10.0
-"""Seconds from the fault to the look at the robots."""
+AFTER = 6.0
+"""Seconds from the fault to the look at the robots, before the show is played again."""
 PATIENCE = 500.0
 TICKS = os.sysconf("SC_CLK_TCK")
 LOOK = """(() => {

@@ -33,14 +33,13 @@ from renet.deploy.main import PRIORITY
 from renet.deploy.realtime import realtime
 from renet.deploy.recording.recorder import Recorder
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop
-from renet.descriptions import GO1
 from renet.interface import DEPTH_SHAPE
 from renet.pilot import inference
 from renet.pilot.tick import EstimatorInput, EstimatorOutput, infer
+from renet.robots import GO1
 
 RARELY = SafetyCfg(max_gap=10.0, max_late=1_000_000)
 """A busy machine must not end the measurement: late steps are what it is for."""
@@ -89,7 +88,7 @@ class RandomRobot:
     control step was due."""
 
     def __init__(self, robot: RobotSpec) -> None:
-        self.envelope = read_envelope(GO1)
+        self.description = GO1
         self._pose, self._random = np.array(robot.default_position), np.random.default_rng(0)
         self._due = self.now()
         self.wake_ms = [0.0]
@@ -241,7 +240,7 @@ def walk(bundle: Bundle, ticks: int) -> tuple[RandomRobot, TimedController, str]
     robot = RandomRobot(bundle.manifest.robot)
     camera = RandomCamera()
     with TemporaryDirectory() as folder:
-        recorder = Recorder(Path(folder) / "recording.log", {})
+        recorder = Recorder(Path(folder) / "recording.mcap", {})
         with realtime(PRIORITY) as refused:
             # Inside, as in `renet deploy`: so the vision thread inherits the priority.
             controller = TimedController(bundle, RARELY, inference.ThreadedInference)

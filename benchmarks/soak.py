@@ -35,8 +35,10 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
-from renet.deploy.recording.recorder import MODES, Recorder, Recording, read_recording
+from renet.deploy.recording.reader import Recording, read_recording
+from renet.deploy.recording.recorder import Recorder
 from renet.deploy.recording.score import fallen
+from renet.deploy.recording.tick import MODES
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.machine import Mode, SafetyMachine
@@ -187,7 +189,7 @@ def soak(cfg: Cfg, folder: Path) -> dict:
     bundle, begun = Bundle.load(), time.monotonic()
     model, ground = build_scene(cfg.terrain, cfg.level, seed=cfg.seed)
     robot = ShakyRobot(cfg.seed, model, bundle.manifest.robot, ground, cfg.wall)
-    recorder = Recorder(folder / "recording.log", {"soak": cfg.seed}, patient=not cfg.wall)
+    recorder = Recorder(folder / "recording.mcap", {"soak": cfg.seed}, patient=not cfg.wall)
     memory, loads, behind, cpu_ms = [], [], [0.0], array("d")
     end, flights = 60.0 * cfg.minutes, Flights(folder / "flights", cfg.seed)
 
@@ -253,7 +255,7 @@ def growth(memory: list[float]) -> float | None:
 
 def by_minute(run: Recording, memory: list, cpu_ms: np.ndarray, robot: ShakyRobot) -> list[dict]:
     """What the recording holds of each minute, beside the memory at its end."""
-    ticks, limits, rows = run.ticks, robot.envelope, []
+    ticks, limits, rows = run.ticks, robot.description, []
     half = (limits.upper - limits.lower) / 2
     share = np.abs((ticks["position"] - limits.lower - half) / half).max(axis=1)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)

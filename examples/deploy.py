@@ -21,6 +21,7 @@ from renet.deploy.catalogue import CAMERAS, ROBOTS
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, heading, projected_gravity
 from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.envelope import clamp
 from renet.deploy.steering import STEERINGS
 from renet.deploy.teleop import Velocity
 from renet.errors import RenetError
@@ -64,7 +65,7 @@ def command(robot: RobotDriver, position: np.ndarray, manifest: Manifest) -> Non
     """Let the joints' servos hold positions [12] rad until the next control step."""
     gains = manifest.robot.arrays
     servos = JointCommand(position, gains["stiffness"], gains["damping"])
-    robot.write(robot.envelope.clamp(servos, robot.read()))
+    robot.write(clamp(robot.description, servos, robot.read()))
 
 
 def stand_up(robot: RobotDriver, camera: Camera, manifest: Manifest) -> None:
@@ -112,7 +113,7 @@ def brake(robot: RobotDriver, manifest: Manifest) -> None:
     """Let the joints brake for half a second, in which the robot sinks down."""
     still = np.zeros(len(manifest.robot.joints))
     braked = JointCommand(manifest.robot.arrays["default_position"], still, still + BRAKING)
-    robot.write(robot.envelope.clamp(braked))
+    robot.write(clamp(robot.description, braked))
     robot.wait(robot.now() + 0.5)
 
 

@@ -18,11 +18,10 @@ from renet.bundle.manifest import RobotSpec
 from renet.cli import main
 from renet.deploy.catalogue import ROBOTS, SimulationCfg
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
-from renet.descriptions import find_description
 from renet.errors import RenetError
 from renet.interface import JOINTS, TRUNK
 from renet.motor_models import IDEAL
+from renet.robots import find_robot
 
 SERVO_DT = 0.001
 """s of a physics step, in which the servos' torque is constant; a Go1's motors are as quick."""
@@ -52,8 +51,8 @@ class BulletRobot:
         Raises:
             RenetError: the scene has a geom that PyBullet lacks, such as a height field.
         """
-        description = find_description(robot.name)
-        self.model, self.envelope = model, read_envelope(description)
+        self.description = find_robot(robot.name)
+        self.model = model
         self._real_time, self._begun = real_time, 0.0
         self._engine = engine = BulletClient(pybullet.DIRECT)
         engine.setGravity(*model.opt.gravity)
@@ -64,7 +63,7 @@ class BulletRobot:
         self._links = [links[name] for name in JOINTS]
         for link, angle in zip(self._links, robot.default_position, strict=True):
             engine.resetJointState(self._body, link, angle)
-        height = np.array([0.0, 0.0, ground + description.height])
+        height = np.array([0.0, 0.0, ground + self.description.height])
         engine.resetBasePositionAndOrientation(
             self._body, height + model.body_ipos[self._trunk], _xyzw(model.body_iquat[self._trunk])
         )
@@ -108,7 +107,7 @@ class BulletRobot:
         """Simulate, and in real time sleep."""
         while self.now() < until - 0.5 * SERVO_DT:
             position, velocity = self._joints()
-            command, limit = self._command, self.envelope.torque
+            command, limit = self._command, self.description.torque
             torque = command.stiffness * (command.position - position) - command.damping * velocity
             self._torque = np.clip(torque, -limit, limit)
             self._engine.setJointMotorControlArray(

@@ -1,6 +1,7 @@
 """The examples do what their pages say: as a user runs them, from the command line."""
 
 import json
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -9,11 +10,21 @@ import pytest
 import torch
 
 from renet import cli
+from renet.bundle import read_manifest, write_bundle, write_manifest
+from renet.bundle.manifest import Manifest
+from renet.deploy.cfg import DeployCfg
+from renet.deploy.main import RECORDING, deploy
+from renet.deploy.recording.recorder import MODES, read_recording
+from renet.deploy.safety.machine import Mode
 from renet.errors import RenetError
 from renet.faults import FAULTS
 from renet.interface import JOINTS, LEGS, proprioception_slices
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
+from renet.robots.model import rename_parts, simulation_model
+from renet.selector import SelectorSpec
 from renet.tasks import env_cfg, make_env, mdp
-from renet.tasks.robot_cfg import rename_parts
+from renet.training.export import camera_spec, export_models, robot_spec
 
 ROOT = Path(__file__).parents[1]
 FILES = ("add_reward", "add_fault", "add_robot", "add_study", "third_party_policy")
@@ -114,6 +125,36 @@ def test_another_robot_trains_exports_and_its_bundle_can_be_read(task, shows, tm
         where = f"--robots 1 --bundle {bundle} --out {out}"
         assert main(["evaluate", *study.split(), *where.split()]) == 0
         assert (out / "summary.json").exists()
+    assert main(["deploy", str(bundle), "--seconds", "1", "--out", str(tmp_path / "run")]) == 0
+    assert (tmp_path / "run" / "score.json").exists(), "the runtime simulates it, too"
+
+
+def test_the_aliengo_stands_up_in_mujoco_as_it_is_described(tmp_path):
+    """With its own weight, height, pose, gains and limits, whatever its networks have learnt."""
+    robot = added_robot().ALIENGO
+    torch.manual_seed(0)
+    models = export_models(RENet(ModelCfg(), critic_size=10).eval())
+    manifest = Manifest(robot_spec(robot), camera_spec(robot), SelectorSpec(beta=0.25))
+    bundle = write_bundle(tmp_path / "aliengo", models, manifest)
+    arguments = f"deploy {bundle} --seconds 2 --out {tmp_path / 'run'}"
+    assert added_robot().main(arguments.split()) == 0
+    ticks = read_recording(tmp_path / "run" / RECORDING).ticks
+    standing = ticks[ticks["mode"] == MODES.index(Mode.STANDING_UP)]
+    assert (standing["stiffness"][-1] == 60.0).all()
+    np.testing.assert_allclose(standing["position"][-1], robot.default_position, atol=0.05)
+    np.testing.assert_allclose(standing["joint_position"][-1], robot.default_position, atol=0.45)
+    assert standing["base_position"][-1, 2] == pytest.approx(0.33, abs=0.05)
+    assert (ticks["position"] >= robot.lower - 1e-6).all()
+    assert (ticks["position"] <= robot.upper + 1e-6).all()
+    # Each motor carries its share of 24 kg; no Go1's calf gives as much as this robot's.
+    assert np.abs(ticks["joint_torque"]).max() <= robot.torque.max() + 1e-6
+    weight = simulation_model(robot).compile().body_mass.sum()
+    assert weight == pytest.approx(24.0, abs=2.0)
+    # A bundle that asks for more than its motors give is refused by the same description.
+    strong = replace(manifest.robot, torque_limit=(50.0,) * 12)
+    write_manifest(bundle, replace(read_manifest(bundle), robot=strong))
+    with pytest.raises(RenetError, match="torque_limit 50 N m of FR_hip_joint; a Unitree AlienGo"):
+        deploy(DeployCfg(bundle=bundle, out=tmp_path / "refused", dry_run=True))
 
 
 def test_action_and_observation_follow_the_interface_not_the_mjcf(env):

@@ -24,7 +24,7 @@ def test_every_npm_package_of_the_page_is_named_with_its_version():
 
 
 def test_every_model_and_mesh_is_named():
-    models = [*(ROOT / "src/renet/descriptions").glob("*.xml"), *(ROOT / "web/robots").iterdir()]
+    models = [*(ROOT / "src/renet/robots").glob("*.xml"), *(ROOT / "web/robots").iterdir()]
     assert models
     for model in models:
         assert model.relative_to(ROOT).as_posix() in NOTICE

@@ -16,9 +16,10 @@ from scipy.spatial import ConvexHull
 
 from renet.bundle import SHIPPED, Bundle
 from renet.bundle.manifest import CameraSpec, RobotSpec
-from renet.descriptions import find_description
 from renet.files import write_atomically
 from renet.interface import JOINTS, TRUNK
+from renet.robots import find_robot
+from renet.robots.model import simulation_model
 
 FIGURES = Path(__file__).parents[1] / "docs" / "figures"
 BODY, EDGE, LENS, SIZES = "#c9ced6", "#7d8694", "#0072b2", "#a3121f"
@@ -62,8 +63,8 @@ def draw(bundle: Bundle) -> bytes:
 
 def robot_shapes(robot: RobotSpec) -> tuple[list[np.ndarray], np.ndarray]:
     """Points [K, 3] m of each shape that a standing robot collides with, and of its trunk, [3]."""
-    description = find_description(robot.name)
-    model = mujoco.MjModel.from_xml_path(str(description.mjcf))
+    description = find_robot(robot.name)
+    model = simulation_model(description).compile()
     data = mujoco.MjData(model)
     for name, angle in zip(JOINTS, robot.default_position, strict=True):
         data.qpos[model.joint(name).qposadr[0]] = angle

@@ -11,8 +11,6 @@ const BEHIND = 0.15;
 /** Seconds of simulation from which pictures are rare, */
 const RARELY = 250;
 /** as many milliseconds apart. */
-const NOTICE = 5000;
-/** Milliseconds for which a notice is shown. */
 
 const stats = { simulated: 0, seconds: 0, pictures: 0, behind: 0, loaded: 0 };
 const message = document.querySelector("#message");
@@ -66,7 +64,8 @@ async function walk(read) {
   while (!stats.first) await sleep(1);
   await loadModels(page.runtime, read);
   stats.ready = performance.now();
-  if (page.notice) setTimeout(() => (page.notice = ""), NOTICE);
+  // What was to be read while the models came is read from now on.
+  if (page.notice) page.notify(page.notice);
   await simulate();
 }
 

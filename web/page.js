@@ -1,10 +1,13 @@
 // "Break its camera": two copies of one robot, the same start, the same ground, the same fault.
 
 import { Controls } from "./panel/controls.js";
+import { Driver, SHOW } from "./panel/driver.js";
 import { bundleLink, sceneLink } from "./panel/link.js";
+import { Pad } from "./panel/pad.js";
 import { Panel } from "./panel/panel.js";
 import { drawDepth } from "./panel/plots.js";
 import { BEFORE, Story } from "./panel/story.js";
+import { ASKED, velocityWords } from "./panel/words.js";
 import { View } from "./stage/view.js";
 import { DepthCamera, makeFault } from "./world/camera.js";
 import { Simulation } from "./world/simulation.js";
@@ -21,6 +24,12 @@ const KEYS = 9;
 /** Faults that have a key, 1 to 9. */
 const PICTURED = 2;
 /** Seconds after its beginning of which a fault's picture is. */
+const LOOP = 6;
+/** Seconds from the end of the story to the next time that the show is played. */
+const PUT_BACK = 3;
+/** Seconds for which robots of which none stands are left where they lie. */
+const NOTICE = 5000;
+/** Milliseconds for which a notice is shown. */
 
 const $ = (selector) => document.querySelector(selector);
 
@@ -28,22 +37,30 @@ export class Page {
   /** @param {object} runtime of load.js. @param {object} scene of link.js. */
   constructor(runtime, scene) {
     Object.assign(this, { runtime, scene });
-    this.notice = scene.unknown.length ? `The link asks for ${scene.unknown.join(" and ")}: not here.` : "";
+    this.notice = "";
+    if (scene.unknown.length) this.notify(`The link asks for ${scene.unknown.join(" and ")}: not here.`);
     const { contract, manifest, bundle } = runtime;
     const { bundles, palette } = contract;
     for (const [state, { colour }] of Object.entries(palette)) {
       document.documentElement.style.setProperty(`--${state}`, colour);
     }
     const slots = [...document.querySelectorAll(".slot")];
-    this.panels = [bundle.opening.left, "memory"].map((estimator, n) => {
-      const choose = (name) => this.simulations[n].controller.choose(name, this.rule.value);
-      return new Panel(slots[n], $(".instruments"), estimator, contract, choose);
+    this.panels = scene.modes.map((mode, n) => {
+      const choose = (name) => this.chooseMode(n, name);
+      return new Panel(slots[n], $(".instruments"), mode, contract, choose);
     });
     this.view = new View($("#view"), slots, runtime, (push) => this.push(push));
-    this.rule = $("#rule");
-    this.rule.addEventListener("change", () => {
-      for (const { controller } of this.simulations) controller.choose(controller.estimator, this.rule.value);
-    });
+    this.driver = new Driver(
+      bundle.told,
+      contract.steering,
+      (why) => this.notify(asSentence(why)),
+      () => this.takeOver(),
+    );
+    const allRound = this.driver.offers("left", 1);
+    for (const part of document.querySelectorAll(".all-round")) part.hidden = !allRound;
+    $("#refusal").textContent = allRound ? "" : asSentence(contract.steering.forwardOnly);
+    $("#chosen").hidden = bundle.opening.left !== "switch";
+    this.pad = new Pad($("#go"), $("#turn"), this.driver);
     $("#severity").value = scene.severity;
     this.controls = new Controls(this);
     this.addFaults(contract.faults);
@@ -57,6 +74,34 @@ export class Page {
       `Bundle ${bundle.name} (${bundle.robot}) of ${manifest.provenance.date}, renet ${contract.renet}. ` +
       "Physics: MuJoCo. Models: ONNX Runtime. Drawing: three.js, uPlot. Nothing leaves this page.";
     this.start();
+  }
+
+  /** Show some words for a while. */
+  notify(words) {
+    this.notice = words;
+    clearTimeout(this.noticed);
+    this.noticed = setTimeout(() => (this.notice = ""), NOTICE);
+  }
+
+  /** Let robot `n` be driven in a mode of the pilot from now on. */
+  chooseMode(n, mode) {
+    this.scene.modes[n] = mode;
+    this.simulations[n].controller.choose(mode);
+    this.show();
+  }
+
+  /** The visitor steers from now on, and breaks the cameras when it pleases. */
+  takeOver() {
+    this.pending = false;
+    const where = this.scene.ground.obstacle ? "just before the edge" : "whenever you like";
+    this.notify(this.broken ? "You drive." : `You drive. Break the cameras ${where}.`);
+    this.show();
+  }
+
+  /** Let the show steer, from the start of its scene. */
+  giveBack() {
+    this.driver.giveBack();
+    this.reset();
   }
 
   addFaults(faults) {
@@ -101,17 +146,15 @@ export class Page {
     for (const simulation of this.simulations ?? []) simulation.delete();
     const seed = Math.floor(2 ** 31 * Math.random());
     const { ground } = this.scene;
-    this.simulations = this.panels.map((panel) => {
-      const simulation = new Simulation(this.runtime, ground, seed);
-      simulation.controller.choose(panel.estimator, this.rule.value);
-      return simulation;
-    });
-    this.story = new Story(ground, this.panels.map(({ name }) => name));
+    this.simulations = this.panels.map(({ mode }) => new Simulation(this.runtime, ground, seed, mode));
+    this.story = new Story(ground, this.scene.modes.slice());
     this.slowed = new Set();
     this.slowUntil = 0;
-    this.controls.turn = 0;
+    if (this.driver.driven) this.driver.stand();
     /** Whether the scene's fault is still to come. */
-    this.pending = this.scene.fault !== null;
+    this.pending = this.scene.fault !== null && !this.driver.driven;
+    /** Seconds of simulation at which the story ended, and since which no robot stands. */
+    this.ended = this.lying = null;
     this.broken = null;
     $("#ground").value = ground.name;
     this.view.reset(this.simulations);
@@ -172,6 +215,7 @@ export class Page {
       if (faults[n] === this.broken) button.scrollIntoView({ block: "nearest", inline: "nearest" });
     });
     press(this.healthy, this.broken === null);
+    $("#show").hidden = !this.driver.driven;
     $("#level").textContent = `${severity} of 5${fault ? ` · ${fault.described[severity - 1]}` : ""}`;
     history.replaceState(null, "", sceneLink(this.scene, this.runtime.contract));
   }
@@ -195,18 +239,18 @@ export class Page {
     const { obstacle } = this.scene.ground;
     if (!obstacle) return this.now >= LATER;
     const reach = this.simulations.map(({ world }) => Math.max(...world.pose().position.slice(0, 2).map(Math.abs)));
-    return Math.max(...reach) >= obstacle[0] - BEFORE * this.controls.speed;
+    return Math.max(...reach) >= obstacle[0] - BEFORE * SHOW.forward;
   }
 
   /** One control step of all robots. */
   async step() {
-    const teleop = this.controls.command(this.runtime.contract.controlDt);
+    const { velocity } = this.driver;
     if (this.pending && this.due) {
       this.pending = false;
       this.apply(this.scene.fault);
     }
     for (const [n, simulation] of this.simulations.entries()) {
-      await simulation.step(teleop);
+      await simulation.step(velocity);
       this.panels[n].note(simulation);
       this.story.note(n, simulation);
       if (simulation.falling && !this.slowed.has(n)) {
@@ -215,13 +259,30 @@ export class Page {
       }
     }
     if (this.broken && this.simulations.every(({ camera, now }) => !camera.broken(now))) this.apply(null);
+    this.playAgain();
     if (this.resetDue) this.start();
   }
 
+  /** Loop the show, and put robots back of which none stands any more. */
+  playAgain() {
+    const { now } = this;
+    if (this.story.sentence) this.ended ??= now;
+    if (this.simulations.every(({ fell }) => fell)) this.lying ??= now;
+    if (!this.driver.driven) {
+      if (this.ended !== null && now >= this.ended + LOOP) this.reset();
+    } else if (this.lying !== null && now >= this.lying + PUT_BACK) {
+      this.notify("Both fell: they are back at the start.");
+      this.reset();
+    }
+  }
+
   draw(seconds) {
-    this.story.names = this.panels.map(({ name }) => name);
+    this.story.names = this.panels.map(({ mode }) => mode);
     this.simulations.forEach((simulation, n) => this.panels[n].update(simulation, this.story.outcome(n)));
     this.view.draw(this.simulations, seconds);
+    this.pad.show(this.driver.velocity);
+    const asked = velocityWords(this.driver.velocity, ASKED);
+    if ($("#asked").textContent !== asked) $("#asked").textContent = asked;
     const { sentence } = this.story;
     if ($("#verdict").textContent !== sentence) $("#verdict").textContent = sentence;
   }
@@ -241,6 +302,11 @@ export class Page {
 function fillSelect(select, choices, onChange) {
   select.append(...choices.map(({ name, title }) => new Option(title ?? name, name)));
   select.addEventListener("change", () => onChange(select.value));
+}
+
+/** Words as a sentence. */
+function asSentence(words) {
+  return `${words[0].toUpperCase()}${words.slice(1)}.`;
 }
 
 const press = (button, down) => button.setAttribute("aria-pressed", String(down));

@@ -17,7 +17,7 @@ from renet.models.adaptation import fuse
 from renet.models.memory import EstimatorMemory
 from renet.models.oracle import true_image
 from renet.models.renet import RENet
-from renet.tasks.robot_cfg import ACTION_CLIP
+from renet.tasks.entity import ACTION_CLIP
 from renet.training import checkpoint as checkpoints
 from renet.training.export import load_networks
 

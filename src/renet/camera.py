@@ -1,8 +1,9 @@
-"""Pinhole geometry of the simulated and the real depth camera.
+"""Pinhole geometry and mount of the simulated and the real depth camera.
 
 Camera frame: x forward, y left, z up. Images have the top row first; rays go through pixel centres.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,3 +41,20 @@ class Intrinsics:
         left, up = self.axes(dtype)
         ups, lefts = np.meshgrid(up, left, indexing="ij")
         return np.stack((np.ones_like(ups), lefts, ups), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class MountCfg:
+    """Pose of the camera on its body, and the errors that each episode draws.
+
+    It is frozen because all tasks of a robot share it.
+    """
+
+    position: tuple[float, float, float] = (0.27, 0.0, 0.03)
+    """Position in the body frame, m (on the head, as in published Go1 parkour policies)."""
+    pitch: float = math.radians(30.0)
+    """Downward tilt, rad."""
+    position_error: float = 0.01
+    """Largest position error, uniform, m (paper)."""
+    angle_error: float = math.radians(5.0)
+    """Largest pitch and yaw error, uniform, rad (paper)."""

@@ -10,7 +10,6 @@ import os
 import re
 import secrets
 import stat
-import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
@@ -93,20 +92,6 @@ def read_object(path: Path, what: str = "file", limit: int = MAX_JSON) -> dict[s
     if not isinstance(value, dict):
         raise RenetError(f"the {what} {path} must hold a JSON object, not {type(value).__name__}")
     return value
-
-
-def decompress(data: bytes, limit: int, what: str) -> bytes:
-    """Undo zlib's compression; raises RenetError for damage or a result above `limit` bytes."""
-    stream = zlib.decompressobj()
-    try:
-        plain = stream.decompress(data, limit)
-    except zlib.error as error:
-        raise RenetError(f"the {what} is damaged: {error}") from error
-    if stream.unconsumed_tail:
-        raise RenetError(f"the {what} unpacks to more than {limit / MEGABYTE:g} MB")
-    if not stream.eof:
-        raise RenetError(f"the {what} is damaged: its compressed data ends early")
-    return plain
 
 
 def require_regular(path: Path, limit: int, what: str = "file") -> Path:

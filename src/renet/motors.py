@@ -13,12 +13,13 @@ a joint's own values come before its kind's.
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from renet.conversion import from_json
 from renet.errors import RenetError
 from renet.files import read_object, write_atomically
 from renet.interface import JOINTS
@@ -27,6 +28,8 @@ MOTORS_FORMAT = "renet motors"
 """Name of the format in a file."""
 SCHEMA = 1
 """Version of the files that renet writes and reads."""
+REMEDY = "mend the file, or measure anew with `renet identify`"
+"""Advice on a file that cannot be used."""
 KINDS = ("hip", "thigh", "calf")
 """Kinds of joints, each with motors of one kind."""
 
@@ -65,7 +68,7 @@ class MotorFit:
     """
 
     robot: str
-    """Name of the robot, as in a bundle's manifest and in `descriptions.DESCRIPTIONS`."""
+    """Name of the robot, as in a bundle's manifest and in its description."""
     motors: Mapping[str, MotorParameters]
     """Parameters by kind of joint (hip, thigh, calf), by joint of `interface.JOINTS`, or both."""
     evidence: Mapping[str, Any] = field(default_factory=dict)
@@ -98,12 +101,10 @@ def _check_values(name: str, motor: MotorParameters) -> None:
     for parameter in PARAMETERS:
         value = getattr(motor, parameter)
         largest = getattr(LARGEST, parameter)
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
         # The comparison is false for NaN, too.
-        if not is_number or not 0.0 <= value <= largest:
+        if not 0.0 <= value <= largest:
             raise RenetError(
-                f"the {parameter} of {name} must be a number from 0 to {largest:g}, got "
-                f"{str(value)[:40]}"
+                f"the {parameter} of {name} must be a number from 0 to {largest:g}, got {value:g}"
             )
 
 
@@ -127,32 +128,19 @@ def read_motors(path: Path, robot: str | None = None) -> MotorFit:
         raise RenetError(
             f"{path} has schema {str(content.get('schema'))[:40]}; this renet reads {SCHEMA}"
         )
-    try:
-        fit = _parse(content)
-    except RenetError as error:
-        raise RenetError(f"cannot use the motors {path}: {error}") from error
+    source = f"the motors {path}"
+    # Evidence is for people: it may hold texts of any length, and errors that are not finite.
+    evidence = content.get("evidence", {})
+    if not isinstance(evidence, dict):
+        raise RenetError(f"cannot use {source}: evidence must be an object; {REMEDY}")
+    # One by one, so that messages name the motor.
+    for name, values in from_json(dict[str, Any], content.get("motors"), source, REMEDY).items():
+        from_json(MotorParameters, values, f"{name[:40]!r} of {source}", REMEDY)
+    values = {name: content[name] for name in ("robot", "motors") if name in content}
+    fit = replace(from_json(MotorFit, values, source, REMEDY), evidence=evidence)
     if robot is not None and fit.robot != robot:
         raise RenetError(f"the motors {path} are of a {fit.robot[:40]}, not of a {robot}")
     return fit
-
-
-def _parse(content: Mapping[str, Any]) -> MotorFit:
-    """Build measured motors from a file's content; raises RenetError."""
-    robot = content.get("robot")
-    if not isinstance(robot, str):
-        raise RenetError("its robot must be a name")
-    motors = content.get("motors")
-    if not isinstance(motors, dict):
-        raise RenetError("its motors must be an object with one entry for each kind of joint")
-    evidence = content.get("evidence", {})
-    if not isinstance(evidence, dict):
-        raise RenetError("its evidence must be an object")
-    parsed = {}
-    for name, values in motors.items():
-        if not isinstance(values, dict) or set(values) != set(PARAMETERS):
-            raise RenetError(f"the motor {name[:40]!r} must have {', '.join(PARAMETERS)}")
-        parsed[name] = MotorParameters(**values)
-    return MotorFit(robot, parsed, evidence)
 
 
 def write_motors(path: Path, fit: MotorFit) -> None:

@@ -3,11 +3,10 @@
 import torch
 from mjlab.tasks.registry import register_mjlab_task
 
-from renet.tasks.config.go1 import GO1
-from renet.tasks.config.go2 import GO2
+from renet.robots import GO2, Robot, register_robot, robots
+from renet.tasks.entity import VISUAL_GO1
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.parkour_env_cfg import flat_env_cfg, parkour_env_cfg
-from renet.tasks.robot_cfg import RobotCfg
 from renet.training.config import RenetRunnerCfg
 from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
@@ -16,12 +15,15 @@ ROBOTS = 4096 if torch.cuda.is_available() else 512
 """The paper's number of robots on a GPU, and one that a CPU steps as fast as any."""
 
 
-def register_tasks(name: str, robot: RobotCfg) -> None:
-    """Give a robot its tasks.
+def register_tasks(name: str, robot: Robot) -> None:
+    """Give a robot its tasks, and make it known to `renet deploy`.
 
-    They are Renet-`name`-Parkour and Renet-`name`-Flat, trained by the recipe, and
+    Tasks are Renet-`name`-Parkour and Renet-`name`-Flat, trained by the recipe, and
     Renet-`name`-Parkour-Paper, to which nothing of it is applied.
     """
+    # The runtime may know the robot by a model of its own, as it does the Go1.
+    if robot.name not in robots():
+        register_robot(robot)
     for terrain, cfg in (("Flat", flat_env_cfg), ("Parkour", parkour_env_cfg)):
         env, agent = cfg(robot=robot), RenetRunnerCfg()
         recipe(env, agent)
@@ -43,5 +45,5 @@ def register_task(
     register_mjlab_task(task, env, play, agent, runner)
 
 
-register_tasks("Go1", GO1)
+register_tasks("Go1", VISUAL_GO1)
 register_tasks("Go2", GO2)

@@ -10,8 +10,8 @@ from renet.bundle import Bundle, write_bundle
 from renet.bundle.manifest import Manifest
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
+from renet.robots import GO2
 from renet.selector import SelectorSpec
-from renet.tasks.config.go2 import GO2
 from renet.training.export import camera_spec, export_models, robot_spec
 
 

@@ -14,13 +14,12 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.controller import Controller, Event
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCommand
-from renet.descriptions import GO1
 from renet.interface import CONTROL_DT
+from renet.robots import GO1
 from renet.training.export import robot_spec
 
 READINGS = count()
@@ -100,7 +99,7 @@ class Standing:
     """A robot that stands still on a clock of its own, and remembers what it was told."""
 
     def __init__(self, **reading) -> None:
-        self.envelope, self.time, self.reading = read_envelope(GO1), 0.0, reading
+        self.description, self.time, self.reading = GO1, 0.0, reading
         self.told: list[JointCommand] = []
         self.wait_fails: BaseException | None = None
 

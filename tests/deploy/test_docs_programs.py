@@ -13,13 +13,14 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from renet import cli, descriptions
+from renet import cli
 from renet.bundle import read_manifest, write_manifest
 from renet.deploy import catalogue
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import deploy
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.deploy.safety.limits import SafetyCfg
+from renet.robots import GO1, robot
 from renet.selector.monitors import MONITORS
 
 from .fakes import state
@@ -50,11 +51,11 @@ def package(tmp_path, monkeypatch) -> None:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[renet.robots]\na = no_such_module\nb = my_robot\n")
     (tmp_path / "my_robot.py").write_text(program("robots", "my_sdk"))
-    (tmp_path / "my_robot.xml").write_text(descriptions.GO1.mjcf.read_text())
+    (tmp_path / "my_robot.xml").write_text(GO1.mjcf.read_text())
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "my_robot", raising=False)
-    for table, name in ((catalogue.ROBOTS, "mine"), (descriptions.DESCRIPTIONS, "My robot")):
+    for table, name in ((catalogue.ROBOTS, "mine"), (robot._ROBOTS, "My robot")):
         monkeypatch.setitem(table, name, None)  # Taken out again at the end.
 
 
@@ -85,7 +86,7 @@ def test_a_driver_of_a_package_runs_until_it_ends(terminal, monkeypatch, bundle_
     stiff = [call.args[1].any() for call in link.servo.call_args_list]
     assert any(stiff), "it stood up"
     assert not stiff[-1], "it ends braking"
-    run = read_recording(Path("out") / "recording.log")
+    run = read_recording(Path("out") / "recording.mcap")
     assert run.complete
     assert run.events[0].why == "armed"
     assert run.header["port"] == PORT

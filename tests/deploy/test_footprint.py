@@ -1,4 +1,4 @@
-"""What a robot's computer needs: NumPy, ONNX Runtime, tyro and rich, and nothing else."""
+"""The needs of a robot's computer: NumPy, ONNX Runtime, MCAP, msgspec, tyro and rich alone."""
 
 import shutil
 import subprocess

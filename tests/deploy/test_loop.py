@@ -12,8 +12,10 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.controller import Controller
 from renet.deploy.loop import BRAKING, run_control_loop
-from renet.deploy.recording.recorder import MODES, Recorder, Recording, read_recording
+from renet.deploy.recording.reader import Recording, read_recording
+from renet.deploy.recording.recorder import Recorder
 from renet.deploy.recording.replay import mismatch
+from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 from renet.interface import CONTROL_DT
@@ -42,7 +44,7 @@ class Rig:
     def fly(self, seconds: float, folder: Path, camera: bool = True) -> Recording:
         """Run with a recording, which replays."""
         header = {"bundle_sha256": self.bundle.sha256, "safety": vars(BRISK)}
-        log = Recorder(folder / "recording.log", header | {"mode": "memory"})
+        log = Recorder(folder / "recording.mcap", header | {"mode": "memory"})
         controller = Controller(self.bundle, BRISK, on_event=log.event)
         devices: tuple = (self.robot, self.camera if camera else None, self.teleop)
         self.camera.start()

@@ -16,21 +16,23 @@ import numpy as np
 import pytest
 import tyro
 
-from renet import cli, descriptions
+from renet import cli
 from renet.bundle import Bundle, read_manifest, write_manifest
 from renet.deploy import devices, gamepad, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
-from renet.deploy.recording.recorder import MODES, Recording, read_recording
+from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.replay import mismatch
 from renet.deploy.recording.score import SCORE, TIMELINE, write_score
+from renet.deploy.recording.tick import MODES
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
 from renet.errors import RenetError
 from renet.folders import lock
 from renet.interface import TRUNK
+from renet.robots import GO1, Motor, register_robot, robot
 
 from .fakes import BRISK
 
@@ -142,7 +144,7 @@ def test_a_fall_ends_a_flight_that_nobody_steers(tmp_path):
 def test_a_flight_never_overwrites_another(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["deploy", "--seconds", "0.1"]) == 0
-    (log,) = Path("results/deploy").glob("*/recording.log")
+    (log,) = Path("results/deploy").glob("*/recording.mcap")
     assert f"Results: {log.parent}\n" in capsys.readouterr().out
     out = Path("mine")
     flights = [len(run(out, seconds=seconds).ticks) for seconds in (0.1, 0.2, 0.3)]
@@ -266,7 +268,7 @@ def spot(bundle_path, monkeypatch) -> Path:
     """A bundle for another robot, of which there is no description yet."""
     manifest = read_manifest(bundle_path)
     write_manifest(bundle_path, replace(manifest, robot=replace(manifest.robot, name="Spot")))
-    monkeypatch.setattr(descriptions, "DESCRIPTIONS", dict(descriptions.DESCRIPTIONS))
+    monkeypatch.setattr(robot, "_ROBOTS", dict(robot._ROBOTS))
     return bundle_path
 
 
@@ -281,20 +283,19 @@ def test_another_robots_bundle_is_refused(spot, robot, message, tmp_path):
 
 def test_a_simulation_takes_model_height_and_limits_from_the_bundles_robot(spot, tmp_path):
     """A robot of other weight, height and motors, known by its description alone."""
-    model = ET.parse(descriptions.GO1.mjcf)
+    model = ET.parse(GO1.mjcf)
     for body in model.iter("body"):
         if body.get("name") == TRUNK:
             body.find("inertial").set("mass", "7.5")
     model.write(tmp_path / "spot.xml")
-    speeds = {"hip": 20.0, "thigh": 20.0, "calf": 10.0}
-    descriptions.register_description(
-        descriptions.RobotDescription("Spot", tmp_path / "spot.xml", 0.4, speeds, damping=5.0)
-    )
+    motors = {**GO1.motors, "calf": Motor(torque=35.55, velocity=10.0)}
+    spot_itself = replace(GO1, name="Spot", mjcf=tmp_path / "spot.xml", height=0.4, motors=motors)
+    register_robot(spot_itself)
     bundle = Bundle.load(spot)
     robot = devices.make_robot(DeployCfg(), bundle)
     assert robot.model.body(TRUNK).mass == 7.5
     assert robot.base_position[2] == 0.4
-    assert (robot.envelope.velocity[2], robot.envelope.damping) == (10.0, 5.0)
+    assert robot.description.velocity[2] == 10.0
     assert run(tmp_path / "out", bundle=spot, seconds=1.0).header["robot"] == "mujoco"
 
 

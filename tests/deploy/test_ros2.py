@@ -16,7 +16,8 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 
 from renet.deploy.catalogue import Ros2Cfg
-from renet.deploy.recording.recorder import MODES, read_recording
+from renet.deploy.recording.reader import read_recording
+from renet.deploy.recording.tick import MODES
 from renet.deploy.ros2 import TOPIC, Ros2Teleop, domain_of
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
@@ -206,7 +207,7 @@ def test_the_whole_program_walks_turns_and_stands_in_silence(node, topic, tmp_pa
     told = "".join(lines)
     for words in ("no message on", "refused: this policy cannot walk backward or sideways"):
         assert words in told
-    ticks = read_recording(tmp_path / "recording.log").ticks
+    ticks = read_recording(tmp_path / "recording.mcap").ticks
     walking = ticks[ticks["mode"] == MODES.index(Mode.WALKING)]
     asked = walking[["forward", "left", "turn_rate"]]
     for velocity in ((0.6, 0.0, 0.0), (0.5, 0.0, 0.8), (-0.4, 0.0, 0.0)):

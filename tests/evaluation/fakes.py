@@ -13,7 +13,7 @@ from renet.evaluation.trace import StepResult
 from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE
 from renet.pilot import Pilot
 from renet.selector import SelectorSpec, make_selector
-from renet.tasks.config.go1 import GO1
+from renet.tasks import VISUAL_GO1
 
 GROUND = np.full(DEPTH_SHAPE, 0.5, np.float32)
 SPEED = 0.62
@@ -100,7 +100,7 @@ class FakeEvaluator:
 
     beta = paper_beta = 0.01
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
-    robot = GO1
+    robot = VISUAL_GO1
     rollout = Evaluator.rollout
     make_pilot = Evaluator.make_pilot
     terrain_env_cfg = Evaluator.terrain_env_cfg

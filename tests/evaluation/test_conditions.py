@@ -12,8 +12,7 @@ from renet.evaluation.env import SimEnv, study_env_cfg, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.trace import StepResult
 from renet.interface import PROPRIOCEPTION, proprioception_slices
-from renet.tasks import env_cfg
-from renet.tasks.config.go1 import GO1
+from renet.tasks import VISUAL_GO1, env_cfg
 from renet.tasks.parkour_env_cfg import NOISE, randomize
 from renet.tasks.sensors import depth_camera
 
@@ -25,7 +24,7 @@ SLICES = proprioception_slices()
 
 def config(trained=None):
     """Flat ground under the conditions of the Go1's training."""
-    cfg = terrain_env_cfg("flat", GO1)
+    cfg = terrain_env_cfg("flat", VISUAL_GO1)
     as_trained(cfg, trained or env_cfg("Renet-Go1-Parkour"))
     return study_env_cfg(cfg, 0.6)
 
@@ -114,7 +113,7 @@ def test_pushes_come_at_trainings_intervals_and_speeds():
 
 
 def test_nominal_conditions_neither_push_nor_add_noise_to_sensors():
-    world = SimEnv(study_env_cfg(terrain_env_cfg("flat", GO1), 0.6), [0, 1], 5, "native")
+    world = SimEnv(study_env_cfg(terrain_env_cfg("flat", VISUAL_GO1), 0.6), [0, 1], 5, "native")
     for result in walk(world, 5):
         truth = world.env.observation_manager.compute_group("proprioception")
         np.testing.assert_array_equal(result.proprioception, truth)
@@ -123,7 +122,7 @@ def test_nominal_conditions_neither_push_nor_add_noise_to_sensors():
 
 
 def test_bodies_and_starts_are_those_of_nominal_conditions():
-    nominal = SimEnv(study_env_cfg(terrain_env_cfg("flat", GO1), 0.6), [0, 1], 5, "native")
+    nominal = SimEnv(study_env_cfg(terrain_env_cfg("flat", VISUAL_GO1), 0.6), [0, 1], 5, "native")
     trained = SimEnv(config(), [0, 1], 5, "native")
     for world in (nominal, trained):
         world.reset()

@@ -16,7 +16,7 @@ from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
 from renet.faults import Injection
 from renet.selector.monitors import MONITORS
-from renet.tasks.config.go1 import GO1
+from renet.tasks import VISUAL_GO1
 from renet.tasks.parkour_env_cfg import randomize
 
 
@@ -116,7 +116,7 @@ def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle
     evaluator = Evaluator(bundle)
 
     def walk(*robots):
-        cfg = terrain_env_cfg("flat", GO1)
+        cfg = terrain_env_cfg("flat", VISUAL_GO1)
         randomize(cfg, joint_offset=0.05, action_delay=0.02, no_load_speed=(0.5, 1.0))
         env = evaluator.make_env(cfg, robots, 0.6, 1)
         zeros = env.env.scene["robot"].data.encoder_bias

@@ -9,16 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from renet.descriptions import FOLDER
 from renet.errors import RenetError
 from renet.evaluation import live
 from renet.evaluation.play import PlayCfg, watching
 from renet.interface import CONTROL_DT
+from renet.robots import GO1
 
 
 @pytest.fixture
 def spec() -> mujoco.MjSpec:
-    spec = mujoco.MjSpec.from_file(str(FOLDER / "go1.xml"))
+    spec = mujoco.MjSpec.from_file(str(GO1.mjcf))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 1])
     return spec
 
@@ -84,9 +84,9 @@ def test_a_walk_is_shown_at_the_clocks_pace_until_the_window_is_closed(monkeypat
 
 WINDOW = """
 import mujoco, numpy as np
-from renet.descriptions import FOLDER
+from renet.robots import GO1
 from renet.evaluation.live import open_view
-spec = mujoco.MjSpec.from_file(str(FOLDER / "go1.xml"))
+spec = mujoco.MjSpec.from_file(str(GO1.mjcf))
 view = open_view("window", spec, ("switch", "memory"))
 pose = view._model.qpos0
 view.show(np.stack([pose + 0.1, pose]))

@@ -7,12 +7,12 @@ import mujoco
 import pytest
 
 from renet.bundle import Bundle, pretrained
-from renet.descriptions import FOLDER
 from renet.errors import RenetError
 from renet.evaluation import painter
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, opened, run_play
-from renet.tasks.config.go1 import GO1
+from renet.robots import GO1
+from renet.tasks import VISUAL_GO1
 
 CHECKPOINT = pretrained("checkpoint")
 
@@ -51,7 +51,7 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["go1", "go2"])
 def test_a_robot_without_visual_meshes_is_seen(name, monkeypatch):
     monkeypatch.setattr(painter, "PANEL", (96, 72))
-    spec = mujoco.MjSpec.from_file(str(FOLDER / f"{name}.xml"))
+    spec = mujoco.MjSpec.from_file(str(GO1.mjcf.with_name(f"{name}.xml")))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 1])
     start = spec.compile().qpos0[None]
     (view,) = painter.Painter(spec, start).draw(start)
@@ -62,7 +62,7 @@ def test_a_checkpoint_becomes_a_bundle_for_as_long_as_it_is_open():
     with opened(CHECKPOINT) as folder:
         assert folder is not None
         assert Bundle.load(folder).manifest.robot.name == "Unitree Go1"
-        assert robot_of(Bundle.load(folder).manifest) == GO1
+        assert robot_of(Bundle.load(folder).manifest) == VISUAL_GO1
     assert not folder.exists()
     with opened(None) as folder:
         assert folder is None

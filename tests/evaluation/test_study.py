@@ -17,7 +17,7 @@ from renet.evaluation.env import FLAT, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_JSON, Provenance, read_results, write_summary
 from renet.registry import register_tasks
-from renet.tasks.config.go1 import GO1
+from renet.tasks import VISUAL_GO1
 from renet.tasks.sensors import DEPTH_CAMERA
 
 from .fakes import SPEED, FakeEvaluator
@@ -76,7 +76,7 @@ def test_presets_are_chosen_on_the_command_line(capsys):
 
 
 def test_a_study_walks_the_bundles_own_robot_whose_cameras_err_as_in_training(tmp_path):
-    register_tasks("Twin", replace(GO1, name="Somebody's Go1"))
+    register_tasks("Twin", replace(VISUAL_GO1, name="Somebody's Go1"))
     shutil.copytree(pretrained("go1-parkour"), tmp_path / "twin")
     manifest = read_manifest(tmp_path / "twin")
     robot = replace(manifest.robot, name="Somebody's Go1")

@@ -1,4 +1,4 @@
-"""Sixty and more files and folders that nobody should hand to renet, by name."""
+"""Ninety files and folders that nobody should hand to renet, by name."""
 
 import hashlib
 import json
@@ -6,16 +6,20 @@ import os
 import shutil
 import socket
 import struct
-import zlib
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import onnx.parser
+import zstandard
+from mcap.opcode import Opcode
 from safetensors.numpy import save_file
 
 from renet.bundle import DEFAULT, MANIFEST, PREVIOUS, pretrained
-from renet.deploy.recording.recorder import CHUNK, MAGIC, TICK_DTYPE
+from renet.deploy.recording.channels import ChannelWriter, DepthImage, Topic, encode
+from renet.deploy.recording.reader import EARLIER, MAGIC, RECORD
+from renet.deploy.recording.tick import TICK_DTYPE
 
 Maker = Callable[[Path], Path | str | None]
 """Fills a new folder; returns what to hand over, the folder itself by default."""
@@ -135,12 +139,24 @@ LOOP = """<body = loop (int64 i, bool go, float[] x) => (bool on, float[] y)
     {on = Identity (go) y = Identity (x)}>"""
 
 
-def chunk(tag: bytes, data: bytes) -> bytes:
-    packed = zlib.compress(data)
-    return CHUNK.pack(tag, len(packed), zlib.crc32(packed)) + packed
+Messages = list[tuple[Topic, bytes]]
+EMPTY: Messages = [(Topic.RUN, b"{}")]
+"""A header that says nothing."""
 
 
-HEAD = MAGIC + chunk(b"HEAD", b"{}")
+def recording(*chunks: Messages) -> bytes:
+    """A recording without its index, whose chunks hold messages."""
+    stream = BytesIO()
+    writer = ChannelWriter(stream)
+    for messages in chunks:
+        for topic, message in messages:
+            writer.write(topic, 0.0, message)
+        writer.flush()
+    return stream.getvalue()
+
+
+def messages(rows: np.ndarray) -> Messages:
+    return [(Topic.TICK, encode(row)) for row in rows]
 
 
 def ticks(**fields: object) -> bytes:
@@ -148,10 +164,29 @@ def ticks(**fields: object) -> bytes:
     rows["now"] = [1.0, 1.02, 1.04]
     for name, value in fields.items():
         rows[name] = value
-    return HEAD + chunk(b"TICK", rows.tobytes())
+    return recording(EMPTY, messages(rows))
 
 
-SECOND = chunk(b"TICK", bytes(3_900_000 // TICK_DTYPE.itemsize * TICK_DTYPE.itemsize))
+def chunk(packed: bytes, size: int, check: int = 0) -> bytes:
+    """A chunk that states the size and checksum of what it unpacks to."""
+    name = b"zstd"
+    head = struct.pack("<QQQII", 0, 0, size, check, len(name)) + name
+    content = head + struct.pack("<Q", len(packed)) + packed
+    return RECORD.pack(Opcode.CHUNK, len(content)) + content
+
+
+def loop(opcode: int) -> bytes:
+    """A record of MCAP that states more entries than it has, before a hole."""
+    return RECORD.pack(opcode, 6) + struct.pack("<HI", 1, 2**32 - 1)
+
+
+HEAD = recording(EMPTY)
+COUNT = 3_900_000 // (TICK_DTYPE.itemsize + 35)
+SECOND = recording(EMPTY, messages(np.zeros(COUNT, TICK_DTYPE)))[len(HEAD) :]
+"""Chunks of 3.8 MB in all, of ticks at time zero."""
+ZEROS = zstandard.compress(bytes(100_000_000))
+CHANNEL = b"\x02\x00\x00\x00\x05\x00\x00\x00/tick\x03\x00\x00\x00cdr\x00\x00\x00\x00"
+"""A channel /tick of messages without a schema."""
 
 
 STATE = {"format": 1, "iteration": 1, "steps": 1, "seconds": 1.0, "task": ""}
@@ -300,15 +335,26 @@ FILES: dict[str, Maker] = {
     "a model that is text": model("vision", b"hello"),
     "a bomb of zeros": file(HEAD + SECOND * 60),
     "a sparse bomb": sparse(1_000_000_000, HEAD + SECOND * 60),
-    "one chunk of 100 MB": file(HEAD + chunk(b"TICK", bytes(TICK_DTYPE.itemsize * 60_000))),
-    "text for a number": file(MAGIC + chunk(b"HEAD", b'{"beta": "low", "onsets": ["now"]}')),
-    "a deep header": file(MAGIC + chunk(b"HEAD", b'{"a":' * 100_000)),
+    "one chunk of 100 MB": file(HEAD + chunk(ZEROS, 100_000_000)),
+    "a chunk of 100 MB that states 1 MB": file(MAGIC + chunk(ZEROS, 1_000_000)),
+    "an index without end": sparse(3_000_000_000, MAGIC + loop(Opcode.MESSAGE_INDEX)),
+    "statistics without end": sparse(3_000_000_000, MAGIC + loop(Opcode.STATISTICS)),
+    "a recording of renet 0.1": file(EARLIER + b"4\n" + bytes(100)),
+    "a log of another program": file(
+        MAGIC + RECORD.pack(Opcode.CHANNEL, len(CHANNEL)) + CHANNEL, "other.mcap"
+    ),
+    "text for a number": file(recording([(Topic.RUN, b'{"beta": "low", "onsets": ["now"]}')])),
+    "a deep header": file(recording([(Topic.RUN, b'{"a":' * 100_000)])),
     "times of 1e15": file(ticks(now=[0.0, 1.0, 1e15])),
     "times that are not numbers": file(ticks(now=[0.0, np.nan, 1.0])),
     "times that run backwards": file(ticks(now=[2.0, 1.0, 3.0])),
     "mode 77": file(ticks(mode=77)),
-    "an image of tick 1e9": file(ticks() + chunk(b"IMAG", struct.pack("<I", 10**9) + bytes(6144))),
-    "a length of 4 GB": file(HEAD + CHUNK.pack(b"TICK", 2**32 - 1, 0)),
+    "images of no tick": file(
+        recording(EMPTY, 2 * [(Topic.DEPTH, encode(DepthImage(0.0, np.zeros((48, 64)))))])
+    ),
+    "an image of no pixels": file(recording(EMPTY, [(Topic.DEPTH, b"\0\1\0\0" + bytes(60))])),
+    "an event without end": file(recording(EMPTY, [(Topic.EVENTS, b"\0\1\0\0" + b"\xff" * 60)])),
+    "a length of 4 GB": file(HEAD + RECORD.pack(Opcode.CHUNK, 2**32 - 1)),
     "a recording without header": file(MAGIC + b"x" * 100),
     "a checkpoint without task": checkpoint({"format": 1, "config": {"model": {}}}),
     "a checkpoint of format 99": checkpoint(STATE | {"format": 99}),

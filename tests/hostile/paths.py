@@ -39,9 +39,9 @@ VARIANTS: dict[str, list[list[str]]] = {
     "bundle card": [["--out", "out"]],
     "bundle push": [["shipped", "owner/name"]],
     "calibrate": [["shipped"]],
-    "identify": [["recording.log", "--robot", "go2"]],
-    "evaluate leaderboard": [["recording.log"]],
-    "evaluate log": [["recording.log", "--out", "out"]],
+    "identify": [["recording.mcap", "--robot", "go2"]],
+    "evaluate leaderboard": [["recording.mcap"]],
+    "evaluate log": [["recording.mcap", "--out", "out"]],
 }
 """Options that a command, or one of its options, needs to go on to a path; none by default."""
 ACCEPTED = {
@@ -150,7 +150,7 @@ def hand_over(name: str, option: str, variant: tuple[str, ...], folder: str) -> 
     work.mkdir(parents=True)
     os.chdir(work)
     shutil.copytree(pretrained(DEFAULT), "shipped")
-    Path("recording.log").write_bytes(ticks())
+    Path("recording.mcap").write_bytes(ticks())
     for file in VENDOR:
         Path("packages", file).parent.mkdir(parents=True, exist_ok=True)
         Path("packages", file).touch()

@@ -18,7 +18,7 @@ import torch
 
 from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_manifest
 from renet.cli import main
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.errors import RenetError
 from renet.files import is_temporary
 from renet.page.writer import VENDOR
@@ -122,10 +122,10 @@ def card_case(folder: Path) -> Case:
 
 
 def score_case(folder: Path) -> Case:
-    (folder / "a.log").write_bytes(ticks())
+    (folder / "a.mcap").write_bytes(ticks())
     (folder / "out").mkdir()
     (folder / "out" / "score.json").write_text("an earlier score")
-    return Case(cli("evaluate", "log", folder / "a.log", "--out", folder / "out"), folder / "out")
+    return Case(cli("evaluate", "log", folder / "a.mcap", "--out", folder / "out"), folder / "out")
 
 
 def checkpoint_case(folder: Path) -> Case:
@@ -237,7 +237,7 @@ def test_a_disk_that_is_full_half_way_through_a_file_is_one_line(case, tmp_path,
     [
         ("export", str(pretrained("checkpoint"))),
         ("bundle", "card"),
-        ("evaluate", "log", "a.log"),
+        ("evaluate", "log", "a.mcap"),
         ("deploy", "--seconds", "0.1"),
         ("page", "--runtime", "packages"),
     ],
@@ -246,7 +246,7 @@ def test_a_disk_that_is_full_half_way_through_a_file_is_one_line(case, tmp_path,
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path, monkeypatch, capsys, command, out):
     monkeypatch.chdir(tmp_path)
     page_case(tmp_path)
-    (tmp_path / "a.log").write_bytes(ticks())
+    (tmp_path / "a.mcap").write_bytes(ticks())
     capsys.readouterr()
     assert main([*command, "--out", out]) == 2
     said = capsys.readouterr().err
@@ -259,7 +259,7 @@ def test_a_kill_at_any_step_of_a_run_leaves_a_recording_up_to_there(tmp_path):
 
     def step() -> None:
         nonlocal unreadable
-        for path in out.rglob("recording.log"):
+        for path in out.rglob("recording.mcap"):
             try:
                 sizes.append(len(read_recording(path).ticks))
             except RenetError:
@@ -269,9 +269,9 @@ def test_a_kill_at_any_step_of_a_run_leaves_a_recording_up_to_there(tmp_path):
     run = Case(cli("deploy", "--seconds", "3", "--out", out), out)
     assert watch(run, step) == 0
     assert len(sizes) > 3
-    earlier = read_recording(out / "recording.log")
+    earlier = read_recording(out / "recording.mcap")
     assert watch(run, step) == 0
-    kept = read_recording(out / "earlier-1" / "recording.log")
+    kept = read_recording(out / "earlier-1" / "recording.mcap")
     np.testing.assert_array_equal(kept.ticks["now"], earlier.ticks["now"])
 
 

@@ -16,7 +16,8 @@ from renet.bundle import Bundle
 from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.recording import recorder
-from renet.deploy.recording.recorder import Recorder, read_recording
+from renet.deploy.recording.reader import read_recording
+from renet.deploy.recording.recorder import Recorder
 from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop import ScriptedTeleop
 from renet.terminal import Terminal
@@ -216,7 +217,7 @@ def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end
 ):
     monkeypatch.setattr(recorder.os, "fsync", hang)
     monkeypatch.setattr(recorder, "CLOSING", 0.1)
-    log = Recorder(tmp_path / "a.log", {})
+    log = Recorder(tmp_path / "a.mcap", {})
     robot, told = Standing(), []
     controller = walk(bundle, robot, 100.0, log, on_step=lambda *step: told.append(log.problem))
     log.close()
@@ -231,7 +232,7 @@ def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end
 
 def test_a_simulation_waits_for_a_disk_that_is_slower(bundle, tmp_path, monkeypatch):
     monkeypatch.setattr(recorder.os, "fsync", lambda descriptor: time.sleep(0.002))
-    log = Recorder(tmp_path / "a.log", {}, patient=True)
+    log = Recorder(tmp_path / "a.mcap", {}, patient=True)
     log._chunks.maxsize = 1
     walk(bundle, Standing(), 10.0, log)
     log.close()

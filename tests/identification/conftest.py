@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from renet.descriptions import GO2
 from renet.interface import JOINTS
+from renet.robots import GO2
 
 KP, KD = 20.0, 0.5
 MOTORS = {

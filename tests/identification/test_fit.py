@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from renet.descriptions import GO2
 from renet.identification import replay
 from renet.identification.fit import END_STOP, MotorFitter, per_joint, standard_error, valid_rows
 from renet.identification.motion_log import MotionLog
 from renet.identification.replay import DELAY, SuspendedRobot
 from renet.interface import JOINTS
+from renet.robots import GO2
 
 from .conftest import KD, KP
 
@@ -16,7 +16,9 @@ ROWS = range(20, 180)
 @pytest.fixture
 def log(motion) -> MotionLog:
     gains = {"stiffness": np.full(12, KP), "damping": np.full(12, KD)}
-    return MotionLog(0.005, **{name: values[:200] for name, values in motion.items()}, **gains)
+    return MotionLog(
+        0.005, **{name: values[:200].copy() for name, values in motion.items()}, **gains
+    )
 
 
 @pytest.fixture

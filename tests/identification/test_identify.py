@@ -7,7 +7,7 @@ import pytest
 
 from renet.cli import main
 from renet.errors import RenetError
-from renet.identification.identify import IdentifyCfg, find_robot
+from renet.identification.identify import IdentifyCfg, look_up_robot
 from renet.interface import JOINTS
 from renet.motors import PARAMETERS, read_motors
 
@@ -120,9 +120,9 @@ def test_without_scipy(monkeypatch, capsys, tmp_path):
 
 
 def test_robots_by_name():
-    assert find_robot("GO1").name == find_robot("Unitree Go1").name == "Unitree Go1"
+    assert look_up_robot("GO1").name == look_up_robot("Unitree Go1").name == "Unitree Go1"
     with pytest.raises(RenetError, match="unknown robot 'unitree'"):
-        find_robot("unitree")
+        look_up_robot("unitree")
 
 
 def test_options_have_no_trap():

@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 
-from renet.deploy.recording.recorder import GOOD, TICK_DTYPE
+from renet.deploy.recording.tick import GOOD, TICK_DTYPE
 from renet.errors import RenetError
 from renet.identification.motion_log import CsvCfg, read_motion_log
 from renet.interface import JOINTS
 from renet.motors import KINDS
 
-from ..hostile.files import HEAD, chunk
+from ..hostile.files import EMPTY, messages
+from ..hostile.files import recording as recording_of
 from .conftest import KD, KP, named, write_csv
 
 NUMBERED = CsvCfg(
@@ -130,11 +131,14 @@ def test_damaged_text(short, tmp_path, edit, message):
 
 def test_what_is_no_csv(tmp_path):
     (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00\x01" * 9)
-    (tmp_path / "b.MCAP").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "b.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "c.log").write_bytes(b"RENETLOG4\n")
     with pytest.raises(RenetError, match="first line is not text"):
         read_motion_log(tmp_path / "a.csv", CsvCfg())
-    with pytest.raises(RenetError, match="is an MCAP file, which is not read yet"):
-        read_motion_log(tmp_path / "b.MCAP", CsvCfg())
+    with pytest.raises(RenetError, match="has no readable header"):
+        read_motion_log(tmp_path / "b.mcap", CsvCfg())
+    with pytest.raises(RenetError, match=r"recording of renet 0\.1: only that version reads it"):
+        read_motion_log(tmp_path / "c.log", CsvCfg())
     with pytest.raises(RenetError, match="cannot read the log"):
         read_motion_log(tmp_path / "none.csv", CsvCfg())
 
@@ -167,7 +171,7 @@ def recording(motion, **changes) -> bytes:
     rows["stiffness"][:3] = 0.0
     for name, (row, value) in changes.items():
         rows[name][row] = value
-    return HEAD + chunk(b"TICK", rows.tobytes())
+    return recording_of(EMPTY, messages(rows))
 
 
 @pytest.mark.parametrize(
@@ -181,7 +185,7 @@ def recording(motion, **changes) -> bytes:
     ],
 )
 def test_longest_even_part_of_a_recording(short, tmp_path, changes, start, stop):
-    path = tmp_path / "recording.log"
+    path = tmp_path / "recording.mcap"
     path.write_bytes(recording(short, **changes))
     log = read_motion_log(path, CsvCfg())
     np.testing.assert_array_equal(log.target, short["target"][:48:4][start:stop])
@@ -192,7 +196,7 @@ def test_longest_even_part_of_a_recording(short, tmp_path, changes, start, stop)
 
 
 def test_bad_recording(short, tmp_path):
-    path = tmp_path / "recording.log"
+    path = tmp_path / "recording.mcap"
     path.write_bytes(recording(short))
     with pytest.raises(RenetError, match="leave --kp and --kd out"):
         read_motion_log(path, CsvCfg(kp=(20.0,)))

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from renet.bundle import pretrained, read_manifest, write_manifest
+from renet.interface import PROPRIOCEPTION
 from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
 
@@ -45,6 +46,15 @@ def memory_page(node_page: Path, tmp_path_factory) -> Path:
     path = shutil.copytree(pretrained("go1-parkour"), folder / "b")
     manifest = read_manifest(path)
     write_manifest(path, replace(manifest, selector=replace(manifest.selector, longest_memory=1.5)))
+    return write_page(PageCfg((path,), folder / "page"))
+
+
+@pytest.fixture(scope="session")
+def twist_page(node_page: Path, tmp_path_factory) -> Path:
+    """The page of the shipped weights in a bundle that says that they are told twists."""
+    folder = tmp_path_factory.mktemp("twist")
+    path = shutil.copytree(pretrained("go1-parkour"), folder / "b")
+    write_manifest(path, replace(read_manifest(path), proprioception=PROPRIOCEPTION))
     return write_page(PageCfg((path,), folder / "page"))
 
 

@@ -13,8 +13,8 @@ const read = async (path) => new Uint8Array(await readFile(`${page}/${path}`));
 const contract = JSON.parse(await readFile(`${page}/renet-page.json`));
 const runtime = await loadRuntime(read, contract, contract.bundles[0]);
 await loadModels(runtime, read);
-const { kind, ticks } = JSON.parse(await readFile(file));
-const controller = new Controller(runtime, kind);
+const { mode, ticks } = JSON.parse(await readFile(file));
+const controller = new Controller(runtime, mode);
 
 function image(text) {
   const { buffer, byteOffset, length } = Buffer.from(text, "base64");
@@ -26,9 +26,9 @@ let frame = null;
 for (const { state, frame: next, teleop, now } of ticks) {
   if (next) frame = { ...next, image: image(next.image) };
   const command = await controller.tick(state, frame, teleop, now);
-  const { mode, policy, selector, observation, action, driving } = controller;
+  const { phase, policy, selector, observation, action, driving } = controller;
   decided.push({
-    mode,
+    phase,
     ...command,
     observation: Array.from(observation ?? []),
     action: Array.from(action),

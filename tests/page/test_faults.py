@@ -10,10 +10,10 @@ from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import FLAT, build_scene
-from renet.descriptions import find_description
 from renet.faults import FAULTS, Frames
 from renet.page.contract import GROUNDS, OFFERED
 from renet.page.writer import WEB
+from renet.robots import find_robot
 from tests.page.conftest import run_node
 
 STREAMS = 16
@@ -79,7 +79,7 @@ def test_fault_does_what_the_catalogue_says(delivered, name, severity):
 @pytest.mark.parametrize("ground", [name for name in GROUNDS if name != FLAT])
 def test_camera_sees_what_the_runtimes_camera_sees(node_page, ground, number):
     manifest = Bundle.load(node_page / "bundles" / str(number)).manifest
-    description = find_description(manifest.robot.name)
+    description = find_robot(manifest.robot.name)
     model, height = build_scene(ground, GROUNDS[ground][1], robot=description)
     robot = MujocoRobot(model, manifest.robot, height)
     robot.data.qpos[0] = 1.0

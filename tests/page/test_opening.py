@@ -2,19 +2,23 @@
 
 from pathlib import Path
 
+import pytest
+
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
 LOADS = 10
 
 
-def test_renet_leaps_the_gap_from_memory_in_ten_of_ten_loads(node_page: Path):
-    opening = run_node("opening.mjs", WEB, node_page, "memory", *range(1, LOADS + 1))
-    assert (opening["ground"], opening["fault"], opening["left"]) == ("gap", "blackout", "forgets")
-    assert opening["sentences"] == ["Memory leapt the gap from memory."] * LOADS
-
-
-def test_the_same_robot_without_memory_is_blind_at_the_gap(node_page: Path):
-    opening = run_node("opening.mjs", WEB, node_page, "forgets", 1, 2)
+@pytest.mark.parametrize("robot", ["go1", "go2"])
+def test_only_the_robot_that_remembers_crosses_in_ten_of_ten_openings(node_page: Path, robot):
+    told = {}
+    for mode in ("switch", "memory"):
+        link = f"?robot={robot}"
+        told[mode] = run_node("opening.mjs", WEB, node_page, link, mode, *range(1, LOADS + 1))
+    opening = told["switch"]
+    assert (opening["ground"], opening["fault"], opening["left"]) == ("gap", "gaussian", "switch")
+    assert told["memory"]["sentences"] == ["Memory leapt the gap from memory."] * LOADS
     for sentence in opening["sentences"]:
-        assert "s after its camera broke" in sentence or sentence.endswith("the gap blind.")
+        assert sentence.startswith("Switch fell")
+        assert sentence.endswith("s after its camera broke.")

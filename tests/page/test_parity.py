@@ -2,6 +2,8 @@
 
 import base64
 import json
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,9 +15,10 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import next_step
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.faults import parse_fault
-from renet.interface import CONTROL_DT
+from renet.interface import proprioception_slices
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
@@ -23,22 +26,33 @@ COMMAND, LATENTS = ("position", "stiffness", "damping"), ("latent_op", "latent_v
 NUMBERS = ("observation", "action", "anomaly", "probability", *COMMAND, *LATENTS)
 
 
-def record(bundle: Bundle, terrain: str, fault: str, selector: str) -> tuple[list, list]:
-    """Walk for 7.5 s; what the controller was given and what it decided, tick by tick."""
+def record(
+    bundle: Bundle,
+    terrain: str,
+    fault: str,
+    mode: str,
+    steer: Callable[[float], Velocity],
+    walker: Bundle | None = None,
+) -> tuple[list, list]:
+    """Walk for 7.5 s; what the controller was given and what it decided, tick by tick.
+
+    `steer` gives the velocity that is asked for at a time in seconds. The robot obeys `walker`,
+    which goes ahead, where the bundle itself cannot walk.
+    """
     model, ground = build_scene(terrain)
     robot = MujocoRobot(model, bundle.manifest.robot, ground)
     sensor = SimCamera(robot, bundle.manifest.camera, seed=4)
     camera = FaultyCamera(sensor, [parse_fault(fault)], robot.now, 5)
-    controller = Controller(bundle, mode=selector)
+    # A robot that obeys another does not follow.
+    safety = SafetyCfg() if walker is None else SafetyCfg(least_torque=0.0)
+    controller = Controller(bundle, safety, mode=mode)
+    walking = Controller(walker, mode=mode) if walker else None
     camera.start()
     due, shown, given, decided = robot.now(), None, [], []
-    turn = 0.0
     for step in range(375):
         now, state, frame = robot.now(), robot.read(), camera.latest()
-        turn_rate = 0.2 * np.cos(now) if now > 3.0 else 0.0
-        teleop = TeleopCommand(forward=0.6, turn_rate=turn_rate, arm=step == 0)
-        # The page counts the sum of all turns.
-        turn += CONTROL_DT * turn_rate
+        asked = steer(now)
+        teleop = TeleopCommand(*asked, arm=step == 0)
         command = controller.tick(state, frame, teleop, now)
         fresh = None
         if frame is not shown:
@@ -50,9 +64,16 @@ def record(bundle: Bundle, terrain: str, fault: str, selector: str) -> tuple[lis
             "quaternion": state.quaternion.tolist(),
             "angularVelocity": state.angular_velocity.tolist(),
         }
-        speeds = {"speed": 0.6, "turn": turn, "arm": teleop.arm}
-        given.append({"state": seen, "frame": fresh, "teleop": speeds, "now": now})
+        page_teleop = {
+            "forward": asked.forward,
+            "left": asked.left,
+            "turnRate": asked.turn_rate,
+            "arm": teleop.arm,
+        }
+        given.append({"state": seen, "frame": fresh, "teleop": page_teleop, "now": now})
         decided.append(decision(controller) | {name: getattr(command, name) for name in COMMAND})
+        if walking is not None:
+            command = walking.tick(state, frame, TeleopCommand(*ahead(now), arm=step == 0), now)
         robot.write(command)
         due, shown = next_step(robot, due), frame
     return given, decided
@@ -65,7 +86,7 @@ def decision(controller: Controller) -> dict:
         **{name: getattr(decision, name) for name in ("vision", "action", "anomaly")},
         **{name: getattr(policy, name)[0] for name in LATENTS},
         "probability": decision.probability,
-        "mode": str(decision.mode),
+        "phase": str(decision.mode),
         "reason": str(selector.reason[0]),
         "state": str(selector.state[0]),
         "observation": policy._history[0, -1].copy(),
@@ -73,7 +94,7 @@ def decision(controller: Controller) -> dict:
 
 
 @pytest.mark.parametrize(
-    ("terrain", "fault", "selector", "states"),
+    ("terrain", "fault", "mode", "states"),
     [
         # Only a camera that is away for longer than the memory leaves OP in charge.
         ("flat", "gaussian:5@4s+2s", "memory", {"sees", "remembers", "blind"}),
@@ -85,17 +106,52 @@ def decision(controller: Controller) -> dict:
         ("flat", "salt_and_pepper:5@4s+2s", "switch", {"sees", "blind"}),
     ],
 )
-def test_controller_decides_as_the_runtime(memory_page, tmp_path, terrain, fault, selector, states):
+def test_controller_decides_as_the_runtime(memory_page, tmp_path, terrain, fault, mode, states):
     bundle = Bundle.load(memory_page / "bundles" / "0")
-    given, decided = record(bundle, terrain, fault, selector)
-    (tmp_path / "sequence.json").write_text(json.dumps({"kind": selector, "ticks": given}))
-    replayed = run_node("replay.mjs", WEB, memory_page, tmp_path / "sequence.json")
-    modes = [one["mode"] for one in decided]
-    assert [one["mode"] for one in replayed] == modes
-    assert modes.count("walking") > 250
+    given, decided = record(bundle, terrain, fault, mode, ahead)
     assert {one["state"] for one in decided} == states
+    compare(memory_page, tmp_path, mode, given, decided)
+
+
+def test_so_it_does_where_a_policy_is_told_a_twist(twist_page, tmp_path):
+    """The weights were told headings: only what they make of the numbers counts."""
+    bundle = Bundle.load(twist_page / "bundles" / "0")
+    assert bundle.manifest.told == "twist"
+    given, decided = record(
+        bundle, "flat", "gaussian:5@4s+2s", "memory", all_round, walker=Bundle.load()
+    )
+    compare(twist_page, tmp_path, "memory", given, decided)
+    place = proprioception_slices()["command"]
+    told = np.array([one["observation"][place] for one in decided if one["phase"] == "walking"])
+    assert told.min(axis=0) == pytest.approx([-0.6, -0.5, -1.0]), "backward and to the right"
+    assert told[:, 1].max() == pytest.approx(0.3)
+    corrected = (told[:, 0] == np.float32(0.6)) & (np.abs(told[:, 2]) > 1e-3)
+    assert corrected.any(), "a heading is kept"
+
+
+def ahead(now: float) -> Velocity:
+    """Ahead, later to both sides."""
+    return Velocity(0.6, 0.0, 0.2 * np.cos(now) if now > 3.0 else 0.0)
+
+
+def all_round(now: float) -> Velocity:
+    """Ahead, to the left, back and turning; beyond the limits at the end."""
+    if now < 4.0:
+        return Velocity(0.6)
+    if now < 5.0:
+        return Velocity(0.2, 0.3)
+    return Velocity(-0.4, 0.0, 0.8) if now < 6.0 else Velocity(-9.0, -9.0, -9.0)
+
+
+def compare(page: Path, folder: Path, mode: str, given: list, decided: list) -> None:
+    """Fail where the page's controller decides otherwise than the runtime's did."""
+    (folder / "sequence.json").write_text(json.dumps({"mode": mode, "ticks": given}))
+    replayed = run_node("replay.mjs", WEB, page, folder / "sequence.json")
+    phases = [one["phase"] for one in decided]
+    assert [one["phase"] for one in replayed] == phases
+    assert phases.count("walking") > 250
     for tick, (mine, its) in enumerate(zip(replayed, decided, strict=True)):
-        walks = its["mode"] == "walking"
+        walks = its["phase"] == "walking"
         for name in ("vision", "reason", "state") if walks else ():
             assert mine[name] == its[name], f"{name} at tick {tick}"
         for name in NUMBERS if walks else ("position",):

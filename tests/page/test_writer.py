@@ -16,12 +16,12 @@ import pytest
 from renet import cli
 from renet.bundle import Bundle, pretrained, read_manifest, write_manifest
 from renet.deploy.robots.sim.scene import build_scene
-from renet.descriptions import GO1, GO2
 from renet.errors import RenetError
 from renet.files import MEGABYTE
 from renet.interface import TRUNK
 from renet.page.contract import GROUNDS, contract
 from renet.page.writer import MARK, VENDOR, WEB, PageCfg, write_page
+from renet.robots import GO1, GO2
 from renet.sim.sensors import HeightMapCfg
 
 SHIPPED = pretrained("go1-parkour")
@@ -138,7 +138,7 @@ def shared() -> dict:
     return json.loads(json.dumps(both, allow_nan=False))
 
 
-ENDS = {"gap": (1.2, 1.57), "stairs_down": (1.5, 3.9), "stairs_up": (1.2, 3.6)}
+ENDS = {"gap": (1.2, 1.7), "stairs_down": (1.5, 3.9), "stairs_up": (1.2, 3.6)}
 ENDS |= {"platform": (1.4, 2.8), "flat": None}
 
 
@@ -161,12 +161,23 @@ def test_grounds_are_the_runtimes_and_obstacles_end_where_tiles_say(terrain, num
 
 def test_opening_scene_is_one_that_the_bundle_can_walk():
     bundle = Bundle.load()
-    for memory, ground, left in ((0.0, "stairs_down", "camera"), (1.5, "gap", "forgets")):
+    without = {"ground": "stairs_down", "fault": "blackout", "left": "camera", "right": "memory"}
+    with_one = {"ground": "gap", "fault": "gaussian", "left": "switch", "right": "memory"}
+    for memory, opening in ((0.0, without), (1.5, with_one)):
         manifest = with_selector(bundle.manifest, longest_memory=memory)
         (entry,) = contract([replace(bundle, manifest=manifest)])["bundles"]
-        assert entry["opening"] == {"ground": ground, "fault": "blackout", "left": left}
+        assert entry["opening"] == opening
         assert entry["selectors"]["memory"]["longestMemory"] == memory
         assert entry["selectors"]["switch"]["longestMemory"] == 0.0
+
+
+def test_bundles_are_called_by_their_robot_and_by_name_among_several():
+    go1 = Bundle.load()
+    other = replace(go1, path=Path("mine"))
+    (alone, go2) = contract([go1, Bundle.load("go2-parkour")])["bundles"]
+    assert (alone["title"], go2["title"]) == ("Go1", "Go2")
+    titles = [one["title"] for one in contract([go1, other])["bundles"]]
+    assert titles == ["Go1 · go1-parkour", "Go1 · mine"]
 
 
 def test_download_is_small(page):

@@ -10,8 +10,7 @@ from mjlab.terrains.terrain_generator import TerrainOutput
 from renet.errors import RenetError
 from renet.evaluation.env import terrain_env_cfg
 from renet.sim.depth.rasterizer import scanner
-from renet.tasks import RenetEnvCfg, env_cfg, make_env
-from renet.tasks.config.go1 import GO1
+from renet.tasks import VISUAL_GO1, RenetEnvCfg, env_cfg, make_env
 from renet.tasks.mdp.curriculums import FIRST_LEVELS
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import add_own_ground, tile_row
@@ -298,7 +297,7 @@ def drawn(cfg: RenetEnvCfg) -> set[bytes]:
 def test_studies_draw_other_tiles_than_training(task):
     trained = drawn(env_cfg(task))
     grounds = {"rough": 5, "obstacles": 5}
-    for judged in (terrain_env_cfg("parkour", GO1), terrain_env_cfg(grounds, GO1)):
+    for judged in (terrain_env_cfg("parkour", VISUAL_GO1), terrain_env_cfg(grounds, VISUAL_GO1)):
         assert len(drawn(judged)) > 20
         assert not drawn(judged) & trained
 

@@ -5,42 +5,43 @@ import { FrameBuffer } from "./frames.js";
 import { heading, observe, projectedGravity } from "./observation.js";
 import { Policy } from "./policy.js";
 import { Selector } from "./selector.js";
+import { STEERINGS, STILL, limitedVelocity } from "./steering.js";
 
 export const DAMPING = "damping";
 export const STANDING_UP = "standing_up";
 export const WALKING = "walking";
 
-/** Who drives: the selector's choice, with memory or without, or always one estimator. */
-export const ESTIMATORS = { camera: "Camera only", forgets: "Without memory", memory: "renet", blind: "Blind only" };
-
 /** Drives one robot with a bundle. */
 export class Controller {
   /**
    * @param {object} runtime manifest, contract, bundle and sessions; see load.js.
-   * @param {"memory" | "switch"} kind of selector.
+   * @param {string} mode of the pilot: one of the contract's `modes`.
    */
-  constructor({ manifest, contract, bundle, sessions }, kind = "memory") {
+  constructor({ manifest, contract, bundle, sessions }, mode) {
     this.robot = manifest.robot;
     this.contract = contract;
     this.cfg = contract.safety;
     this.policy = new Policy(manifest, contract, sessions);
+    this.steering = new STEERINGS[bundle.told](contract.steering, contract.controlDt);
     this.selectors = bundle.selectors;
-    this.choose("memory", kind);
+    this.choose(mode);
     this.frames = new FrameBuffer();
     this.black = new Float32Array(this.policy.pixels);
-    this.mode = DAMPING;
+    /** Of the safety machine: damping, standing up or walking. */
+    this.phase = DAMPING;
     this.reason = "start";
     this.armed = false;
     this.target = this.start = Array.from(this.robot.default_position);
     this.forget();
   }
 
-  /** Let somebody drive from now on, by all monitors or the paper's rule; trusts vision at first. */
-  choose(estimator, kind) {
-    this.estimator = estimator;
-    const memory = estimator === "forgets" ? { longestMemory: 0 } : {};
-    this.selector = new Selector({ ...this.selectors[kind], ...memory }, this.contract);
-    this.vision = true;
+  /** Drive in a mode of the pilot from now on; trusts vision at first. */
+  choose(mode) {
+    this.mode = mode;
+    // Robots that obey no selector show what that of `memory` would object to.
+    this.obeys = mode in this.selectors;
+    this.selector = new Selector(this.selectors[this.obeys ? mode : "memory"], this.contract);
+    this.trusted = true;
   }
 
   /** Start walking as training starts an episode. */
@@ -48,7 +49,9 @@ export class Controller {
     this.policy.reset();
     this.selector.reset();
     this.action = new Float32Array(this.robot.joints.length);
-    this.vision = true;
+    this.trusted = true;
+    /** The velocity that is asked for, within limits. */
+    this.asked = STILL;
     this.driving = "";
     this.image = this.black;
   }
@@ -57,52 +60,56 @@ export class Controller {
    * One control step.
    * @param {object} state time, jointPosition, jointVelocity, quaternion, angularVelocity.
    * @param {object | null} frame newest of the camera: image, time, invalid.
-   * @param {object} teleop speed, turn (sum of all turns asked for, rad), arm.
+   * @param {object} teleop a `Velocity` of steering.js, and `arm`.
    * @param {number} now seconds on the robot's clock.
    * @returns {Promise<object>} command: position, stiffness, damping, [12] each.
    */
   async tick(state, frame, teleop, now) {
     this.frames.offer(frame);
-    const before = this.mode;
-    this.changeMode(this.problem(state, now), teleop, now);
-    if (this.mode === DAMPING) {
+    const before = this.phase;
+    this.changePhase(this.problem(state, now), teleop, now);
+    if (this.phase === DAMPING) {
       this.target = Array.from(state.jointPosition);
       return this.damped();
     }
-    if (this.mode === STANDING_UP) {
+    if (this.phase === STANDING_UP) {
       if (before !== STANDING_UP) this.start = this.target = Array.from(state.jointPosition);
       return this.limited(this.standUpTarget((now - this.since) / this.cfg.stand_up_seconds), state);
     }
     if (before !== WALKING) {
       this.forget();
-      this.yaw = heading(state.quaternion);
-      this.turn = teleop.turn;
+      this.steering.start(heading(state.quaternion));
     }
     return this.walk(state, teleop, now);
   }
 
   async walk(state, teleop, now) {
-    this.steer(teleop.turn, heading(state.quaternion));
-    const { maxSpeed, proprioception } = this.contract;
-    const speed = clamp(teleop.speed, 0, maxSpeed);
-    this.observation = observe(state, this.robot, proprioception, speed, this.yaw, this.action);
+    this.asked = limitedVelocity(teleop, this.contract.steering);
+    const told = this.steering.command(this.asked, heading(state.quaternion));
+    this.observation = observe(state, this.robot, this.contract.proprioception, told, this.action);
     this.policy.remember(this.observation);
-    let fresh = false;
-    if (this.policy.due) {
-      fresh = this.frames.take();
-      const { image } = this.frames;
-      if (image) this.image = image;
-      const gate = this.selector.look(this.seen(fresh, now));
-      await this.policy.tick(image, this.estimator === "memory" ? gate : () => true);
-    }
-    const chosen = { camera: true, forgets: this.vision, memory: this.vision, blind: false }[this.estimator];
-    const vision = chosen && this.frames.image !== null;
-    const remembers = this.estimator === "memory" && !this.policy.hasImage;
+    const fresh = this.policy.due && this.frames.take();
+    if (this.policy.due) await this.look(fresh, now);
+    const vision = this.mayUseVision && this.frames.image !== null;
+    const remembers = this.mode === "memory" && !this.policy.hasImage;
     this.driving = vision ? (remembers ? "remembers" : "sees") : "blind";
     this.action = await this.policy.act(this.observation, vision);
     const command = this.limited(this.policy.jointTarget(this.action), state, this.rateAfter(now - this.since));
-    this.vision = this.selector.update(this.seen(fresh, now), now);
+    this.trusted = this.selector.update(this.seen(fresh, now), now);
     return command;
+  }
+
+  /** One tick of vision and both estimators; bad images are withheld in the mode `memory` alone. */
+  async look(fresh, now) {
+    const { image } = this.frames;
+    if (image) this.image = image;
+    const gate = this.selector.look(this.seen(fresh, now));
+    await this.policy.tick(image, this.mode === "memory" ? gate : () => true);
+  }
+
+  /** Whether VP may drive the next step. */
+  get mayUseVision() {
+    return this.obeys ? this.trusted : this.mode === "camera";
   }
 
   seen(fresh, now) {
@@ -110,26 +117,18 @@ export class Controller {
     return { ...policy, image, fresh, age: frames.age(now), invalid: frames.invalid };
   }
 
-  /** Turn the wished heading on; a robot that cannot follow is not asked for more and more. */
-  steer(turn, here) {
-    const { maxLead } = this.contract;
-    const lead = wrap(this.yaw + turn - this.turn - here);
-    this.yaw = here + clamp(lead, -maxLead, maxLead);
-    this.turn = turn;
-  }
-
-  changeMode(problem, teleop, now) {
+  changePhase(problem, teleop, now) {
     const arm = teleop.arm && !this.armed;
     this.armed = Boolean(teleop.arm);
-    const enter = (mode, reason) => Object.assign(this, { mode, reason, since: now });
+    const enter = (phase, reason) => Object.assign(this, { phase, reason, since: now });
     if (problem) {
-      if (this.mode !== DAMPING) enter(DAMPING, problem);
-    } else if (this.mode === DAMPING && arm) enter(STANDING_UP, "armed");
+      if (this.phase !== DAMPING) enter(DAMPING, problem);
+    } else if (this.phase === DAMPING && arm) enter(STANDING_UP, "armed");
     else if (this.stoodUp(now)) enter(WALKING, "stood up");
   }
 
   stoodUp(now) {
-    return this.mode === STANDING_UP && now - this.since >= this.cfg.stand_up_seconds;
+    return this.phase === STANDING_UP && now - this.since >= this.cfg.stand_up_seconds;
   }
 
   /** Why a state forbids motion; empty if it does not. */
@@ -192,6 +191,3 @@ export class Controller {
 }
 
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
-
-/** An angle between -pi and pi, rad. */
-const wrap = (angle) => angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));

@@ -6,17 +6,15 @@
  * @param {object} state quaternion (w, x, y, z), angularVelocity, jointPosition, jointVelocity.
  * @param {object} robot `robot` of the bundle's manifest.
  * @param {object[]} terms `proprioception` of the contract.
- * @param {number} speed commanded m/s.
- * @param {number} yaw commanded heading, rad, world frame.
+ * @param {number[]} command [3] where the policy is told to go, see steering.js.
  * @param {ArrayLike<number>} lastAction [12] policy units.
  * @returns {Float32Array} [45]
  */
-export function observe(state, robot, terms, speed, yaw, lastAction) {
-  const error = yaw - heading(state.quaternion);
+export function observe(state, robot, terms, command, lastAction) {
   const values = {
     base_angular_velocity: state.angularVelocity,
     projected_gravity: projectedGravity(state.quaternion),
-    command: [speed, Math.sin(error), Math.cos(error)],
+    command,
     joint_position: robot.default_position.map((zero, i) => state.jointPosition[i] - zero),
     joint_velocity: state.jointVelocity,
     last_action: lastAction,

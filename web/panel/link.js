@@ -1,4 +1,5 @@
-// The scene in the page's address: ?robot=go2&bundle=…&ground=gap&fault=blackout&severity=5
+// The scene in the page's address:
+// ?robot=go2&bundle=…&ground=gap&fault=gaussian&severity=5&left=switch&right=memory
 
 /** What an address calls a bundle's robot, "Unitree Go2": go2. */
 const nickname = ({ robot }) => robot.split(" ").at(-1).toLowerCase();
@@ -7,9 +8,10 @@ const nickname = ({ robot }) => robot.split(" ").at(-1).toLowerCase();
  * The scene that an address asks for.
  * @param {string} search of the address.
  * @param {object} contract shared with the runtime.
- * @returns {object} bundle, ground, fault (null: none), severity, and `unknown`, what makes no sense.
+ * @returns {object} bundle, ground, fault (null: none), severity, modes (of the left and of the
+ *   right robot), and `unknown`, what makes no sense.
  */
-export function readScene(search, { bundles, faults, faults: [{ levels }] }) {
+export function readScene(search, { bundles, faults, faults: [{ levels }], modes }) {
   const asks = new URLSearchParams(search);
   const unknown = [];
   const choose = (key, choices, fallback) => {
@@ -24,7 +26,10 @@ export function readScene(search, { bundles, faults, faults: [{ levels }] }) {
   const none = { name: "none", none: true };
   const fault = choose("fault", [...faults, none], bundle.opening.fault);
   const severity = choose("severity", levels.map((_, i) => ({ name: i + 1 })), levels.length).name;
-  return { bundle, ground, fault: fault.none ? null : fault, severity, unknown };
+  const named = modes.map((name) => ({ name }));
+  const left = choose("left", named, bundle.opening.left).name;
+  const right = choose("right", named, bundle.opening.right).name;
+  return { bundle, ground, fault: fault.none ? null : fault, severity, modes: [left, right], unknown };
 }
 
 /** What leads to one of several bundles: the robot where there are others, the name among its own. */
@@ -37,10 +42,13 @@ export function bundleLink(bundle, bundles) {
 }
 
 /** The address that leads to a scene. */
-export function sceneLink({ bundle, ground, fault, severity }, { bundles }) {
+export function sceneLink({ bundle, ground, fault, severity, modes }, { bundles }) {
   const asks = bundleLink(bundle, bundles);
   asks.set("ground", ground.name);
   asks.set("fault", fault?.name ?? "none");
   if (fault) asks.set("severity", severity);
+  const [left, right] = modes;
+  asks.set("left", left);
+  asks.set("right", right);
   return `?${asks}`;
 }

@@ -11,7 +11,10 @@ const FOOLED = "on broken images";
 
 /** Follows the robots of one scene. */
 export class Story {
-  /** @param {object} ground one of a bundle's. @param {string[]} names of the robots. */
+  /**
+   * @param {object} ground one of a bundle's.
+   * @param {string[]} names of the robots: their modes.
+   */
   constructor(ground, names) {
     Object.assign(this, { ground, names });
     this.onset = null;

@@ -7,7 +7,6 @@ const TEXTURE_METRES = 2;
 /** Side of the ground that the texture covers once. */
 const FLOOR = 0xa9b58f;
 const JOINT = 0x8a9674;
-const HAZE = 0xe3ebee;
 const FAR = [8, 45];
 /** Metres from the eye at which haze begins and ends. */
 const WIDE = 5;
@@ -21,14 +20,24 @@ const SLABS = 24;
 const RAISED = 0.003;
 /** Metres of those lines above the ground. */
 
-export const FOG = () => new THREE.Fog(HAZE, ...FAR);
+const NIGHT = 0.45;
+/** Share of the day's light on the ground in a dark page. */
+
+/** Whether the visitor prefers dark pages. */
+export const dark = matchMedia("(prefers-color-scheme: dark)");
+
+/** Haze in the colour of the page's horizon, by day or in the dark. */
+export function haze() {
+  const colour = getComputedStyle(document.documentElement).getPropertyValue("--haze");
+  return new THREE.Fog(colour.trim(), ...FAR);
+}
 
 const top = ({ at, half }) => at[2] + half[2];
 const isWide = ({ half }) => Math.max(...half) >= WIDE;
 
 /**
- * The terrain as a group, a function for the height of the ground, and one to be called with the
- * position of the robot that is drawn next.
+ * The terrain as a group, and functions: of the height of the ground, to be called with the position
+ * of the robot that is drawn next, and to be called once the page has become dark or light.
  * @param {object} world a `World`.
  * @param {number[]} seenGroups whether the camera sees each geom group.
  * @param {boolean} plain light is in the colours, and lines stand for texture: for browsers that draw
@@ -37,7 +46,9 @@ const isWide = ({ half }) => Math.max(...half) >= WIDE;
 export function buildTerrain(world, seenGroups, plain) {
   const boxes = findBoxes(world, seenGroups);
   const group = new THREE.Group();
-  group.add(solid(boxes, plain), edges(boxes));
+  const ground = solid(boxes, plain);
+  group.add(ground, edges(boxes));
+  const shaded = [ground.material];
   let follow = () => {};
   if (plain) {
     const floor = Math.max(...boxes.filter(isWide).map(top));
@@ -45,8 +56,11 @@ export function buildTerrain(world, seenGroups, plain) {
     const slab = (at) => SLAB * Math.round(at / SLAB);
     follow = ([x, y]) => around.position.set(slab(x), slab(y), floor + RAISED);
     group.add(around);
+    shaded.push(around.material);
   }
-  return { group, heightAt: (x, y) => heightAt(boxes, x, y), follow };
+  const shade = () => shaded.forEach(({ color }) => color.setScalar(dark.matches ? NIGHT : 1));
+  shade();
+  return { group, heightAt: (x, y) => heightAt(boxes, x, y), follow, shade };
 }
 
 function findBoxes({ model, data, mujoco }, seenGroups) {

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Robot } from "./robot.js";
-import { FOG, buildTerrain } from "./scenery.js";
+import { buildTerrain, dark, haze } from "./scenery.js";
 
 const SLOW = 0.045;
 const QUICK = 0.022;
@@ -41,7 +41,11 @@ export class View {
     this.pause = this.plain ? SOFTWARE_PAUSE : 0;
     this.took = 0.03;
     this.scene = new THREE.Scene();
-    this.scene.fog = FOG();
+    this.scene.fog = haze();
+    dark.addEventListener("change", () => {
+      this.scene.fog = haze();
+      this.terrain.shade();
+    });
     this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x8d887e, this.plain ? 0.9 : 2.1));
     this.sun = this.addSun();
     this.robots = [];

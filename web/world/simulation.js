@@ -1,10 +1,13 @@
 // One simulated robot in MuJoCo's WebAssembly build, with its camera and its controller.
 
-import { Controller, WALKING } from "../control/controller.js";
+import { Controller, DAMPING, WALKING } from "../control/controller.js";
+import { STILL } from "../control/steering.js";
 import { DepthCamera } from "./camera.js";
 
 const FALLING = 0.7;
 /** Cosine of the tilt from which on a robot that walks is about to fall. */
+const SMOOTHING = 0.5;
+/** Time constant of the velocity that is walked, s; a gait's own swing is faster. */
 
 /** The scene and the robot in it: state in, joint commands out. */
 export class World {
@@ -88,6 +91,18 @@ export class World {
     return { position, rotation, yaw: Math.atan2(rotation[1][0], rotation[0][0]) };
   }
 
+  /** @returns {import("../control/steering.js").Velocity} of the base as it is. */
+  baseVelocity() {
+    const { qvel } = this.data;
+    const [x, y] = qvel.slice(this.spin - 3, this.spin - 1);
+    const { yaw } = this.pose();
+    return {
+      forward: Math.cos(yaw) * x + Math.sin(yaw) * y,
+      left: -Math.sin(yaw) * x + Math.cos(yaw) * y,
+      turnRate: qvel[this.spin + 2],
+    };
+  }
+
   /** Distances and geoms hit by rays from one point, in groups that are seen. */
   castRays(eye, directions, groups) {
     const { mujoco, model, data } = this;
@@ -113,11 +128,20 @@ export class World {
 
 /** A robot that is stood up and then walks as it is asked to. */
 export class Simulation {
-  /** Like World's and Controller's; `seed` is of the camera's noise and faults. */
-  constructor(runtime, ground, seed) {
+  /**
+   * Like World's and Controller's.
+   * @param {object} runtime
+   * @param {object} ground
+   * @param {number} seed of the camera's noise and faults.
+   * @param {string} mode of the pilot.
+   */
+  constructor(runtime, ground, seed, mode) {
     this.world = new World(runtime, ground);
     this.camera = new DepthCamera(this.world, runtime.manifest.camera, runtime.contract.camera, seed);
-    this.controller = new Controller(runtime);
+    this.controller = new Controller(runtime, mode);
+    /** Velocity of the base over the last half second. */
+    this.walked = STILL;
+    this.share = 1 - Math.exp(-runtime.contract.controlDt / SMOOTHING);
   }
 
   get now() {
@@ -125,7 +149,7 @@ export class Simulation {
   }
 
   get walking() {
-    return this.controller.mode === WALKING;
+    return this.controller.phase === WALKING;
   }
 
   /** Cosine of the tilt. */
@@ -139,7 +163,7 @@ export class Simulation {
 
   /** Whether the controller has given up on a robot that had begun. */
   get fell() {
-    return this.controller.reason !== "start" && this.controller.mode === "damping";
+    return this.controller.reason !== "start" && this.controller.phase === DAMPING;
   }
 
   /** "sees", "remembers" or "blind"; empty while it does not walk. */
@@ -147,14 +171,28 @@ export class Simulation {
     return this.walking ? this.controller.driving : "";
   }
 
-  /** One control step, 0.02 s. */
-  async step({ speed, turn }) {
+  /**
+   * One control step, 0.02 s.
+   * @param {import("../control/steering.js").Velocity} velocity asked for.
+   */
+  async step(velocity) {
     const { world, now } = this;
     const state = world.read();
     const frame = this.camera.latest(now);
-    const teleop = { speed, turn, arm: now === 0 };
+    const teleop = { ...velocity, arm: now === 0 };
     world.write(await this.controller.tick(state, frame, teleop, now));
     world.advance();
+    this.measure();
+  }
+
+  /** Keep the velocity that is walked. */
+  measure() {
+    const newest = this.world.baseVelocity();
+    const smoothed = {};
+    for (const [component, value] of Object.entries(this.walked)) {
+      smoothed[component] = value + this.share * (newest[component] - value);
+    }
+    this.walked = smoothed;
   }
 
   delete() {

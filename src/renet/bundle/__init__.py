@@ -13,7 +13,7 @@ from pathlib import Path
 from renet.bundle.blocks import BlockSession, Session
 from renet.bundle.contents import COMPANIONS, MANIFEST, OURS, PREVIOUS
 from renet.bundle.hub import fetch, is_remote
-from renet.bundle.manifest import SCHEMA, SCHEMAS, Manifest, from_json
+from renet.bundle.manifest import SCHEMA, SCHEMAS, Manifest
 from renet.bundle.models import (
     HAS_IMAGE,
     MAP_ERROR,
@@ -24,6 +24,7 @@ from renet.bundle.models import (
     session,
     try_models,
 )
+from renet.conversion import from_json
 from renet.errors import RenetError
 from renet.files import MAX_JSON, is_temporary, read_bytes, read_object, write_atomically
 from renet.folders import demand_own, write_folder
@@ -134,7 +135,8 @@ def read_manifest(folder: Path) -> Manifest:
         schema = str(value.get("schema"))[:40]
         readable = " and ".join(map(str, SCHEMAS))
         raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {readable}")
-    return from_json(Manifest, value)
+    source = f"the manifest {folder / MANIFEST}"
+    return from_json(Manifest, value, source, "export the bundle anew")
 
 
 def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Path:

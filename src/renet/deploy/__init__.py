@@ -1,1 +1,1 @@
-"""Runs a bundle on a robot, real or simulated; NumPy and ONNX Runtime are enough for a real one."""
+"""Runs a bundle on a robot, real or simulated; the extra `sim` is for a simulated one."""

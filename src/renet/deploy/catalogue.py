@@ -16,16 +16,16 @@ from typing import Any, ClassVar, Literal
 from renet.bundle.manifest import CameraSpec, RobotSpec
 from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.cameras.realsense import RealSenseCamera, realsense
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import demand_power_level, go1_robot
 from renet.deploy.robots.go2.driver import demand_dds, go2_robot
 from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
-from renet.descriptions import GO1, GO2, RobotDescription, find_description
 from renet.errors import RenetError, collected, demand_none, install
 from renet.interface import Terrain
 from renet.motor_models import IDEAL, find_motors
+from renet.robots import GO1, GO2, Robot, find_robot
 from renet.server import LOOPBACK
 
 
@@ -70,7 +70,7 @@ class SimulationCfg(DriverCfg):
         """Put the robot into its scene."""
         from renet.deploy.robots.sim.scene import build_scene
 
-        description = find_description(robot.name)
+        description = find_robot(robot.name)
         motors = find_motors(self.motors, robot.name)
         model, ground = build_scene(
             self.terrain,
@@ -104,7 +104,7 @@ class SimulationCfg(DriverCfg):
 class Go1Cfg(DriverCfg):
     """A Unitree Go1 in low-level mode."""
 
-    drives: ClassVar[RobotDescription | None] = GO1
+    drives: ClassVar[Robot | None] = GO1
 
     robot_host: str = "192.168.123.10"
     """Address of its motor board."""
@@ -124,7 +124,7 @@ class Go1Cfg(DriverCfg):
 class Go2Cfg(DriverCfg):
     """A Unitree Go2 EDU on a cable."""
 
-    drives: ClassVar[RobotDescription | None] = GO2
+    drives: ClassVar[Robot | None] = GO2
     bundle: ClassVar[str | None] = "go2-parkour"
 
     interface: str = ""

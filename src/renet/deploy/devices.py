@@ -13,6 +13,7 @@ from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.checklist import Checklist, count_readings, time_models
 from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.envelope import demand_within
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
 from renet.deploy.teleop import ScriptedTeleop, Teleop
@@ -115,7 +116,7 @@ def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
     """The robot, not connected yet; raises RenetError for a bundle that it cannot take."""
     spec = bundle.manifest.robot
     robot = cfg.driver.build(spec, cfg.live, cfg.seed, cfg.dry_run)
-    robot.envelope.check(spec)
+    demand_within(robot.description, spec)
     return robot
 
 

@@ -16,6 +16,7 @@ from renet.deploy.controller import Controller
 from renet.deploy.recording.recorder import Recorder
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.envelope import clamp, demand_within
 from renet.deploy.safety.checks import pre_arm_problem
 from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED, Mode, damping_command
 from renet.deploy.teleop import Teleop, TeleopCommand
@@ -48,7 +49,7 @@ def run_control_loop(
         RenetError: the bundle asks for more than the robot takes. Whatever `done` or the robot's
             `wait` raise, and KeyboardInterrupt, pass after the robot was told to brake.
     """
-    robot.envelope.check(controller.robot)
+    demand_within(robot.description, controller.robot)
     loop = _Loop(robot, camera, teleop, controller, recorder, dry_run)
     due, braking = robot.now(), 0
     try:
@@ -69,7 +70,7 @@ def brake(robot: RobotDriver, controller: Controller) -> None:
     command = damping_command(controller.robot, controller.cfg)
     for _ in range(ATTEMPTS):
         with suppress(Exception):
-            robot.write(robot.envelope.clamp(command))
+            robot.write(clamp(robot.description, command))
             return
 
 
@@ -150,7 +151,7 @@ class _Loop:
         try:
             if self.robot.now() - now > self.controller.cfg.max_gap:  # Its reading is as old.
                 command = damping_command(self.controller.robot, self.controller.cfg)
-            self.robot.write(self.robot.envelope.clamp(command, state))
+            self.robot.write(clamp(self.robot.description, command, state))
         except Exception as error:
             self.controller.trip(f"{REFUSED}: {error}", now)
 

@@ -15,7 +15,8 @@ from renet.deploy.devices import start_devices
 from renet.deploy.display import VelocityDisplay
 from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
-from renet.deploy.recording.recorder import Recorder, read_recording
+from renet.deploy.recording.reader import read_recording
+from renet.deploy.recording.recorder import Recorder
 from renet.deploy.recording.score import SCORE, TIMELINE, summary, write_score
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.joint_watch import JointWatch
@@ -28,7 +29,7 @@ from renet.interface import CONTROL_DT, JOINTS
 from renet.pilot.inference import InlineInference, ThreadedInference
 from renet.terminal import Terminal, encodable
 
-RECORDING = "recording.log"
+RECORDING = "recording.mcap"
 RESULTS = (RECORDING, SCORE, TIMELINE)
 PRIORITY = 50
 """Priority of the control loop's thread under SCHED_FIFO; the senders of robots have 60."""
@@ -53,7 +54,8 @@ def deploy(cfg: DeployCfg) -> Path:
             checklist.passed(f"{bundle.name} is whole, and for this robot", started)
             robot, camera, teleop = start_devices(cfg, bundle, terminal.say, stack, checklist)
             _keep_earlier(folder)
-            recorder = Recorder(folder / RECORDING, cfg.header(bundle), patient=not cfg.live)
+            path = folder / RECORDING
+            recorder = Recorder(path, cfg.header(bundle), not cfg.live, robot.now())
             stack.callback(recorder.close)
 
             def tell(event: Event) -> None:

@@ -30,9 +30,10 @@ from renet.interface import (
     TARGET_RATE,
     Told,
 )
+from renet.robots import Robot
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.sim.native.engine import NativeSimulation
-from renet.tasks import RenetEnv, RenetEnvCfg, RobotCfg, env_cfg, make_env, mdp
+from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env, mdp
 from renet.tasks.mdp.base_state import tile_terrain
 from renet.tasks.mdp.commands import (
     COMMAND,
@@ -65,13 +66,13 @@ def trained_env_cfg(manifest: Manifest) -> RenetEnvCfg:
         ) from error
 
 
-def robot_of(manifest: Manifest) -> RobotCfg:
+def robot_of(manifest: Manifest) -> Robot:
     """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
     return trained_env_cfg(manifest).robot
 
 
 def terrain_env_cfg(
-    terrain: str | Mapping[str, int] | TerrainEntityCfg, robot: RobotCfg
+    terrain: str | Mapping[str, int] | TerrainEntityCfg, robot: Robot
 ) -> RenetEnvCfg:
     """A task to measure in; its random tiles are not training's.
 

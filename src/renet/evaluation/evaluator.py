@@ -30,9 +30,10 @@ from renet.motor_models import IDEAL, find_motors
 from renet.pilot import Pilot
 from renet.pilot.pilot import Selector
 from renet.pilot.policy import BundlePolicy, Policy
+from renet.robots import Robot
 from renet.selector import make_selector
 from renet.sim.threads import THREADS
-from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.tasks import RenetEnvCfg
 from renet.tasks.motor_models import use_motors
 from renet.tasks.sensors import depth_camera
 
@@ -68,7 +69,7 @@ class Evaluator:
         """Motors of the robots; None: ideal ones."""
 
     @property
-    def robot(self) -> RobotCfg:
+    def robot(self) -> Robot:
         """The robot the bundle was trained on; raises RenetError if it is unknown here."""
         return robot_of(self.bundle.manifest)
 

@@ -13,13 +13,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from renet.descriptions import DESCRIPTIONS, RobotDescription
 from renet.errors import RenetError, unknown_name
 from renet.identification.fit import WARM_UP, Fit, MotorFitter, check_motion, per_joint, valid_rows
 from renet.identification.motion_log import CsvCfg, MotionLog, read_motion_log
 from renet.identification.replay import SuspendedRobot
 from renet.interface import JOINTS
 from renet.motors import KINDS, PARAMETERS, MotorFit, MotorParameters, joint_kind, write_motors
+from renet.robots import Robot, robots
 from renet.terminal import show
 from renet.version import code_version
 
@@ -69,7 +69,7 @@ def identify(cfg: IdentifyCfg) -> Path:
     Raises:
         RenetError: a log that cannot be used, an unknown robot, or a file that cannot be written.
     """
-    description = find_robot(cfg.robot)
+    description = look_up_robot(cfg.robot)
     _check_out(cfg.out)
     log = read_motion_log(cfg.log, cfg.csv)
     robot = SuspendedRobot(description, log, cfg.timestep)
@@ -92,12 +92,12 @@ def identify(cfg: IdentifyCfg) -> Path:
     return cfg.out
 
 
-def find_robot(name: str) -> RobotDescription:
+def look_up_robot(name: str) -> Robot:
     """The description of a robot by its name or the name's last word, such as go2."""
-    for description in DESCRIPTIONS.values():
+    for description in robots().values():
         if name.lower() in (description.name.lower(), description.name.lower().split()[-1]):
             return description
-    raise unknown_name("robot", name, DESCRIPTIONS)
+    raise unknown_name("robot", name, robots())
 
 
 def _say(line: str) -> None:

@@ -1,4 +1,4 @@
-"""Reads logs of joint targets, positions and velocities: CSV files, and renet's own recordings.
+"""Reads logs of joint targets, positions and velocities: CSV files, and recordings of a run.
 
 A CSV file has a header line, and a column for each joint and quantity, such as
 `FR_hip_joint_target` in rad, `FR_hip_joint_position` in rad and `FR_hip_joint_velocity` in rad/s;
@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from renet.deploy.recording.recorder import GOOD, MAGIC, read_recording
+from renet.deploy.recording.reader import EARLIER, MAGIC, read_recording
+from renet.deploy.recording.tick import GOOD
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_bytes
 from renet.interface import CONTROL_DT, JOINTS, LEGS
@@ -117,19 +118,17 @@ def read_motion_log(path: Path, csv: CsvCfg) -> MotionLog:
     """Read a log of either kind.
 
     Args:
-        path: of a CSV file, or of a recording of `renet deploy`.
+        path: of a CSV file, or of a recording of `renet deploy` (MCAP).
         csv: names of the CSV file's columns.
 
     Raises:
         RenetError: unreadable, a column that is missing, values that are not finite, unequal time
             steps, or gains that are unknown or change.
     """
-    if path.suffix.lower() == ".mcap":  # Its reader will stand beside these two.
-        raise RenetError(f"{path} is an MCAP file, which is not read yet: export it to CSV")
     data = read_bytes(path, MAX_LOG, "log")
     sha256 = hashlib.sha256(data).hexdigest()
     try:
-        if data.startswith(MAGIC):
+        if data.startswith((MAGIC, EARLIER)):
             return _from_recording(path, csv, sha256)
         return _from_csv(data, csv, sha256)
     except RenetError as error:

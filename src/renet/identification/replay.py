@@ -9,10 +9,11 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from renet.descriptions import RobotDescription
 from renet.identification.motion_log import MotionLog
 from renet.interface import JOINTS, TRUNK
 from renet.motors import LARGEST, PARAMETERS
+from renet.robots import Robot
+from renet.robots.model import simulation_model
 
 ARMATURE, DAMPING, FRICTION, DELAY = range(len(PARAMETERS))
 """Columns of a table of motors [12, 4]: `motors.PARAMETERS` of each of `interface.JOINTS`."""
@@ -26,7 +27,7 @@ class SuspendedRobot:
     The servos have the log's Kp and Kd, and saturate at the torques of the robot's description.
     """
 
-    def __init__(self, description: RobotDescription, log: MotionLog, timestep: float) -> None:
+    def __init__(self, description: Robot, log: MotionLog, timestep: float) -> None:
         """Compile the robot for the gains and the rate of a log.
 
         Args:
@@ -125,9 +126,9 @@ class SuspendedRobot:
         return means.T
 
 
-def _compile(description: RobotDescription, log: MotionLog, timestep: float) -> mujoco.MjModel:
+def _compile(description: Robot, log: MotionLog, timestep: float) -> mujoco.MjModel:
     """Compile the robot alone, with its trunk fixed to the world and the servos of the log."""
-    spec = mujoco.MjSpec.from_file(str(description.mjcf))
+    spec = simulation_model(description)
     for joint in list(spec.body(TRUNK).joints):
         spec.delete(joint)
     for geom in spec.geoms:

@@ -16,11 +16,13 @@ from renet.deploy.cameras.sim import RELATIVE_STD
 from renet.deploy.robots.sim.mujoco import SEEN_GROUPS
 from renet.deploy.robots.sim.scene import FLAT, scene_spec
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.steering import MAX_LEAD
-from renet.descriptions import RobotDescription, find_description
+from renet.deploy.steering import FORWARD_ONLY, MAX_LEAD
+from renet.deploy.teleop import KEYS, STAND_KEY
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
 from renet.palette import STATES
+from renet.pilot import PILOT_MODES
+from renet.robots import Robot, find_robot
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import COVERED, MONITORS, NEAR
@@ -28,7 +30,7 @@ from renet.selector.selector import SELECTORS, STEADY
 from renet.terrain.tiles import TILE
 
 GROUNDS = {
-    "gap": ("Gap", 5, "leapt the gap"),
+    "gap": ("Gap", 7, "leapt the gap"),
     "stairs_down": ("Stairs down", 2, "came down the stairs"),
     "stairs_up": ("Stairs up", 2, "climbed the stairs"),
     "platform": ("Platform", 3, "crossed the platform"),
@@ -73,8 +75,8 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "proprioception": [asdict(term) for term in interface.PROPRIOCEPTION],
         "heightMap": {"x": HEIGHT_MAP_X, "y": HEIGHT_MAP_Y, "baseHeight": MAP_HEIGHT},
         "safety": asdict(SafetyCfg()),
-        "maxLead": MAX_LEAD,
-        "maxSpeed": interface.MAX_SPEED,
+        "steering": _steering(),
+        "modes": PILOT_MODES,
         "camera": {
             "relativeStd": RELATIVE_STD,
             "seenGroups": SEEN_GROUPS.tolist(),
@@ -89,7 +91,23 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "steady": STEADY,
         "palette": {name: {"colour": c, "says": says} for name, (c, says) in STATES.items()},
         "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],
-        "bundles": [_bundle(bundle) for bundle in bundles],
+        "bundles": [_bundle(bundle) | {"title": _title(bundle, bundles)} for bundle in bundles],
+    }
+
+
+def _steering() -> dict[str, Any]:
+    """Ranges of a velocity's components, m/s and rad/s, and what else `renet deploy` steers by."""
+    return {
+        "ranges": {
+            "forward": (-interface.MAX_REVERSE, interface.MAX_SPEED),
+            "left": (-interface.MAX_SIDEWAYS, interface.MAX_SIDEWAYS),
+            "turnRate": (-interface.MAX_TURN, interface.MAX_TURN),
+        },
+        "turnGain": interface.TURN_GAIN,
+        "maxLead": MAX_LEAD,
+        "forwardOnly": FORWARD_ONLY,
+        "keys": KEYS,
+        "standKey": STAND_KEY,
     }
 
 
@@ -105,22 +123,38 @@ def _fault(fault: type[Fault], title: str) -> dict[str, Any]:
 
 
 def _bundle(bundle: Bundle) -> dict[str, Any]:
-    robot, spec = find_description(bundle.manifest.robot.name), bundle.manifest.selector
+    robot, spec = find_robot(bundle.manifest.robot.name), bundle.manifest.selector
     remembers = spec.longest_memory > 0.0
     return {
         "name": bundle.name,
-        "title": f"{robot.name.split()[-1]} · {bundle.name}",
         "robot": robot.name,
+        "told": bundle.manifest.told,
         "base": {"body": interface.TRUNK, "height": robot.height},
-        # A memory shows at a gap; without one, a blind robot finds its way down stairs.
-        "opening": {
-            "ground": "gap" if remembers else "stairs_down",
-            "fault": "blackout",
-            "left": "forgets" if remembers else "camera",
-        },
+        "opening": _opening(remembers),
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
         "grounds": [_ground(robot, terrain, *words) for terrain, words in GROUNDS.items()],
     }
+
+
+def _title(bundle: Bundle, bundles: Sequence[Bundle]) -> str:
+    """What the page calls a bundle: its robot, "Go1", and its own name among several of that."""
+    robot = bundle.manifest.robot.name
+    others = [one for one in bundles if one.manifest.robot.name == robot]
+    nickname = robot.split()[-1]
+    return nickname if len(others) == 1 else f"{nickname} · {bundle.name}"
+
+
+def _opening(remembers: bool) -> dict[str, Any]:
+    """The scene of a visit without a link, in which the two robots end differently.
+
+    The paper's switch notices noise and goes blind, and a gap cannot be felt for. Without a memory
+    a blind robot finds its way down stairs, and one that believes black images does not.
+    """
+    if remembers:
+        scene = {"ground": "gap", "fault": "gaussian", "left": "switch"}
+    else:
+        scene = {"ground": "stairs_down", "fault": "blackout", "left": "camera"}
+    return scene | {"right": "memory"}
 
 
 def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
@@ -140,9 +174,7 @@ def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
     }
 
 
-def _ground(
-    robot: RobotDescription, terrain: str, title: str, level: int, done: str
-) -> dict[str, Any]:
+def _ground(robot: Robot, terrain: str, title: str, level: int, done: str) -> dict[str, Any]:
     spec, start = scene_spec(terrain, level, robot=robot)
     return {
         "name": terrain,

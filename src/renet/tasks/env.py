@@ -17,19 +17,19 @@ from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
 from renet.errors import RenetError, unknown_name
+from renet.robots import Robot
 from renet.sim.motors import Motors
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
-from renet.tasks.config.go1 import GO1
+from renet.tasks.entity import VISUAL_GO1
 from renet.tasks.motors import MotorsCfg, RandomMotors
-from renet.tasks.robot_cfg import RobotCfg
 
 
 @dataclass(kw_only=True)
 class RenetEnvCfg(ManagerBasedRlEnvCfg):
     """mjlab's configuration of an environment, with the robot and its motors."""
 
-    robot: RobotCfg = GO1
+    robot: Robot = VISUAL_GO1
     """Robot in the scene; `renet export` writes its gains and pose into a bundle."""
     motors: MotorsCfg = field(default_factory=MotorsCfg)
     """Delays of joint targets, and torque–speed curves."""

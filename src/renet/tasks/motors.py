@@ -12,8 +12,8 @@ from torch import Tensor
 
 from renet.errors import RenetError
 from renet.interface import PHYSICS_DT
+from renet.robots import Robot
 from renet.sim.motors import Motors
-from renet.tasks.robot_cfg import RobotCfg
 
 
 @dataclass(kw_only=True)
@@ -61,7 +61,7 @@ class RandomMotors(Motors):
     """Motors with random delays and no-load speeds."""
 
     def __init__(
-        self, cfg: MotorsCfg, sim: Simulation, robot: RobotCfg, num_envs: int, substeps: int
+        self, cfg: MotorsCfg, sim: Simulation, robot: Robot, num_envs: int, substeps: int
     ) -> None:
         """Draw the no-load speeds of all robots; `begin_episodes` draws the delays.
 

@@ -20,11 +20,12 @@ from mjlab.utils.noise import UniformNoiseCfg
 from mjlab.viewer import ViewerConfig
 
 from renet.interface import CONTROL_DT, FALL_TILT, JOINTS, PHYSICS_DT, PROPRIOCEPTION, TRUNK
+from renet.robots import Robot
+from renet.robots.model import CCD_ITERATIONS, FEET, ITERATIONS, LS_ITERATIONS
 from renet.tasks import mdp
-from renet.tasks.config.go1 import GO1
+from renet.tasks.entity import VISUAL_GO1, entity_cfg
 from renet.tasks.env import RenetEnvCfg
 from renet.tasks.mdp.commands import COMMAND, GoalCommandCfg
-from renet.tasks.robot_cfg import FEET, RobotCfg
 from renet.tasks.sensors import FAR_MAP, FEET_HEIGHT, HEIGHT_MAP, depth_camera, sensors
 from renet.tasks.terrains import parkour_terrain
 
@@ -121,7 +122,7 @@ def _randomize_motors(
         )
 
 
-def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
+def flat_env_cfg(play: bool = False, robot: Robot = VISUAL_GO1) -> RenetEnvCfg:
     """Configure the task on a plane, with goals in all directions.
 
     Args:
@@ -136,13 +137,13 @@ def flat_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
     return _play(cfg) if play else cfg
 
 
-def parkour_env_cfg(play: bool = False, robot: RobotCfg = GO1) -> RenetEnvCfg:
+def parkour_env_cfg(play: bool = False, robot: Robot = VISUAL_GO1) -> RenetEnvCfg:
     """Configure the task on the paper's terrains, with a curriculum of 10 levels."""
     return tile_env_cfg(parkour_terrain(), play, robot)
 
 
 def tile_env_cfg(
-    terrain: TerrainEntityCfg, play: bool = False, robot: RobotCfg = GO1
+    terrain: TerrainEntityCfg, play: bool = False, robot: Robot = VISUAL_GO1
 ) -> RenetEnvCfg:
     """Configure the parkour task on any terrain of tiles, such as `terrains.tile_row`."""
     cfg = _base_env_cfg(terrain, robot)
@@ -165,16 +166,22 @@ def _clear_of_terrain(spec: mujoco.MjSpec) -> None:
     spec.body(f"robot/{TRUNK}").pos[2] = 10.0
 
 
-def _base_env_cfg(terrain: TerrainEntityCfg, robot: RobotCfg) -> RenetEnvCfg:
+def _base_env_cfg(terrain: TerrainEntityCfg, robot: Robot) -> RenetEnvCfg:
     """Configure the parts that the tasks on all terrains share."""
     tilt = {"limit_angle": FALL_TILT}
-    # Both engines have the same physics options, so that policies transfer.
-    physics = MujocoCfg(timestep=PHYSICS_DT, iterations=20, ls_iterations=20, ccd_iterations=50)
+    physics = MujocoCfg(
+        timestep=PHYSICS_DT,
+        iterations=ITERATIONS,
+        ls_iterations=LS_ITERATIONS,
+        ccd_iterations=CCD_ITERATIONS,
+    )
     return RenetEnvCfg(
         robot=robot,
         decimation=round(CONTROL_DT / PHYSICS_DT),
         episode_length_s=20.0,
-        scene=SceneCfg(terrain=terrain, entities={"robot": robot.entity()}, sensors=sensors(robot)),
+        scene=SceneCfg(
+            terrain=terrain, entities={"robot": entity_cfg(robot)}, sensors=sensors(robot)
+        ),
         observations=_observations(),
         actions={
             "joint_pos": mdp.OrderedJointPositionActionCfg(
@@ -296,7 +303,7 @@ def _rewards() -> dict[str, RewardTermCfg]:
     }
 
 
-def _costs(robot: RobotCfg) -> dict[str, MetricsTermCfg]:
+def _costs(robot: Robot) -> dict[str, MetricsTermCfg]:
     """Configure the costs of the constrained MDP, named after interface.CONSTRAINTS.
 
     They are metrics, which mjlab computes beside rewards and logs, because it has no manager of

@@ -5,9 +5,10 @@ from mjlab.sensor import ContactMatch, ContactSensorCfg, SensorCfg
 
 from renet.errors import RenetError
 from renet.interface import FAR_MAP_X, FAR_MAP_Y, LEGS, TRUNK
+from renet.robots import Robot
+from renet.robots.model import CALVES, FEET
 from renet.sim.depth.camera import DepthCameraCfg
 from renet.sim.sensors import FeetHeightCfg, HeightMapCfg
-from renet.tasks.robot_cfg import CALVES, FEET, RobotCfg
 
 DEPTH_CAMERA = "depth_camera"
 HEIGHT_MAP = "height_map"
@@ -18,7 +19,7 @@ THIGH_TRUNK_CONTACT = "thigh_trunk_contact"
 CALF_CONTACT = "calf_contact"
 
 
-def sensors(robot: RobotCfg) -> tuple[SensorCfg, ...]:
+def sensors(robot: Robot) -> tuple[SensorCfg, ...]:
     """Configure contacts of feet, thighs, trunk and calves; camera; and heights of the terrain."""
 
     def contact(name: str, mode, pattern: tuple[str, ...], field: str) -> ContactSensorCfg:

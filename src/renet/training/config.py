@@ -1,16 +1,17 @@
 """Configuration of the agent: networks, N-P3O, supervision, and settings of rsl_rl's runner."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from math import ceil
 from typing import Annotated, Any, Literal, TypeVar
 
 import tyro
 from mjlab.rl import RslRlBaseRunnerCfg
 
+from renet.conversion import from_json
 from renet.errors import RenetError
 from renet.interface import STEPS_PER_TICK
 from renet.models.config import ModelCfg
-from renet.tasks.robot_cfg import ACTION_CLIP
+from renet.tasks.entity import ACTION_CLIP
 from renet.tasks.schedule import Schedule, value_at
 from renet.training.precision import Precision
 
@@ -220,19 +221,14 @@ def steps_per_env(fixed: int | None, batch_size: Schedule, num_envs: int, steps:
 
 
 def from_dict(cls: type[_T], values: dict[str, Any]) -> _T:
-    """Build a dataclass from a JSON object, with tuples in place of lists.
+    """Build a part of the agent's configuration from a JSON object.
 
     Raises:
-        RenetError: The object has a key that is no field.
+        RenetError: The object has another key than the fields, or a value of another type.
     """
-    names = {f.name for f in fields(cls)}  # type: ignore[arg-type]
-    unknown = sorted(set(values) - names)
-    if unknown:
-        raise RenetError(
-            f"{cls.__name__} has no field {', '.join(unknown)}: the configuration was written by "
-            "another version of renet"
-        )
-    return cls(**{name: to_tuples(value) for name, value in values.items()})
+    source = f"the settings of {cls.__name__}"
+    remedy = "the configuration was written by another version of renet"
+    return from_json(cls, values, source, remedy)
 
 
 def to_tuples(value: Any) -> Any:

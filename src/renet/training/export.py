@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from mjlab.entity import Entity
-from mjlab.utils.string import resolve_expr
 from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from renet import __version__
 from renet.bundle import write_bundle
-from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec, from_json
+from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec
 from renet.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
+from renet.conversion import from_json
 from renet.errors import RenetError
 from renet.interface import (
     HEADING_PROPRIOCEPTION,
@@ -30,12 +29,12 @@ from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.options import ExportCfg
+from renet.robots import GO1, Robot
 from renet.selector import SelectorSpec
 from renet.sim.depth.camera import DepthCameraCfg, DepthNoiseCfg
 from renet.tasks import env_cfg
-from renet.tasks.config.go1 import GO1
+from renet.tasks.entity import ACTION_CLIP
 from renet.tasks.mdp.commands import COMMAND
-from renet.tasks.robot_cfg import ACTION_CLIP, RobotCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.config import WithholdingCfg, from_dict
 
@@ -108,27 +107,23 @@ def load_networks(path: Path) -> RENet:
     return model.eval()
 
 
-def robot_spec(robot: RobotCfg = GO1) -> RobotSpec:
-    """Read a robot's description from the MuJoCo model that the tasks compile."""
-    cfg = robot.entity()
-    model = Entity(cfg).spec.compile()
-    default = resolve_expr(cfg.init_state.joint_pos or {}, JOINTS)
-    limits = [model.joint(name).range for name in JOINTS]
+def robot_spec(robot: Robot = GO1) -> RobotSpec:
+    """Write what a bundle says of a robot's joints."""
     return RobotSpec(
         name=robot.name,
         joints=JOINTS,
-        default_position=tuple(float(value) for value in default),
+        default_position=tuple(robot.default_position.tolist()),
         stiffness=(robot.stiffness,) * len(JOINTS),
         damping=(robot.damping,) * len(JOINTS),
-        torque_limit=tuple(float(robot.motor(name).torque) for name in JOINTS),
-        lower=tuple(float(low) for low, _ in limits),
-        upper=tuple(float(high) for _, high in limits),
+        torque_limit=tuple(robot.torque.tolist()),
+        lower=tuple(robot.lower.tolist()),
+        upper=tuple(robot.upper.tolist()),
         action_scale=robot.action_scale,
         action_clip=ACTION_CLIP,
     )
 
 
-def camera_spec(robot: RobotCfg = GO1, noise_std: float = DepthNoiseCfg.gaussian_std) -> CameraSpec:
+def camera_spec(robot: Robot = GO1, noise_std: float = DepthNoiseCfg.gaussian_std) -> CameraSpec:
     """Describe the tasks' camera on a robot.
 
     Args:
@@ -159,7 +154,7 @@ def _provenance(state: dict[str, Any], cfg: ModelCfg) -> ProvenanceSpec:
         "date": date.today().isoformat(),
         "renet": __version__,
     }
-    return from_json(ProvenanceSpec, fields, "checkpoint")
+    return from_json(ProvenanceSpec, fields, "the checkpoint's state", "train anew")
 
 
 class ActorGraph(nn.Module):

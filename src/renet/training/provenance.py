@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from fnmatch import fnmatchcase
+from pathlib import Path
 from textwrap import shorten
 from typing import Any, TypeVar
 
@@ -14,6 +15,8 @@ from renet.tasks.env import RenetEnvCfg
 from renet.training.config import RenetRunnerCfg, to_tuples
 
 T = TypeVar("T")
+PACKAGE = Path(__file__).parents[1]
+"""Folder of the package, in which files of robots are."""
 PLAIN = (bool, int, float, str)
 """Types of settings that JSON holds as they are."""
 SILENT = ("env.seed", "agent.experiment_name")
@@ -23,7 +26,8 @@ SILENT = ("env.seed", "agent.experiment_name")
 def to_json(value: Any) -> Any:
     """Convert a configuration to a JSON value.
 
-    Dataclasses become objects; functions and types become their names.
+    Dataclasses become objects; functions and types become their names, and files of the package
+    their paths in it.
     """
 
     def convert(item: Any) -> Any:
@@ -33,6 +37,9 @@ def to_json(value: Any) -> Any:
             # An object with `__call__` has no name of its own.
             name = getattr(item, "__qualname__", type(item).__name__)
             return f"{item.__module__}.{name}"
+        if isinstance(item, Path) and item.is_relative_to(PACKAGE):
+            # The same on all machines.
+            return item.relative_to(PACKAGE.parent).as_posix()
         if isinstance(item, set):
             return list(item)
         return str(item)

@@ -7,8 +7,9 @@ import pytest
 
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.cameras.faulty import FaultyCamera
-from renet.deploy.recording.recorder import TICK_DTYPE, Recording
+from renet.deploy.recording.reader import Recording
 from renet.deploy.recording.replay import ReplayCamera
+from renet.deploy.recording.tick import TICK_DTYPE
 from renet.errors import RenetError
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT

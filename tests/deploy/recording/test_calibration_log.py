@@ -14,7 +14,8 @@ from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.recording import calibration_log
 from renet.deploy.recording.calibration_log import healthy_walks, recorded_scores
-from renet.deploy.recording.recorder import MODES, Recording, read_recording
+from renet.deploy.recording.reader import Recording, read_recording
+from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
@@ -122,8 +123,8 @@ def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, 
         recorded_scores((log,), Bundle.load(bundle_path))
     spoilt = deploy(DeployCfg(bundle, seconds=0.1, fault=("blackout@5s",), out=tmp_path))
     with pytest.raises(RenetError, match="injected faults"):
-        recorded_scores((spoilt / "recording.log",), Bundle.load(bundle))
+        recorded_scores((spoilt / "recording.mcap",), Bundle.load(bundle))
     short = deploy(DeployCfg(bundle, seconds=0.1, out=tmp_path))
     with pytest.raises(RenetError, match="no walk with a camera"):
-        recorded_scores((short / "recording.log",), Bundle.load(bundle))
+        recorded_scores((short / "recording.mcap",), Bundle.load(bundle))
     assert json.loads((short / "score.json").read_text())["walking_seconds"] == 0.0

@@ -9,8 +9,9 @@ import pytest
 
 from renet.deploy.controller import Event
 from renet.deploy.recording.objections import objectors, ratios
-from renet.deploy.recording.recorder import GOOD, MODES, NONE, TICK_DTYPE, Recording
+from renet.deploy.recording.reader import Recording
 from renet.deploy.recording.score import BANDS, draw_timeline, score, shares, track, write_score
+from renet.deploy.recording.tick import GOOD, MODES, NONE, TICK_DTYPE
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT

@@ -95,7 +95,7 @@ class Peer:
         until(self.released)
         done.set()
         server.join(5)
-        limits, sent = self.make_driver().envelope, np.array(self.commands).reshape(-1, 12, 6)
+        limits, sent = self.make_driver().description, np.array(self.commands).reshape(-1, 12, 6)
         _, position, _, torque, stiffness, damping = np.moveaxis(sent, -1, 0)
         inside = (position >= limits.lower - 1e-6) & (position <= limits.upper + 1e-6)
         assert (inside | ((stiffness == 0) & (damping == 0))).all(), "limp motors have no target"

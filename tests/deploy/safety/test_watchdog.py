@@ -10,7 +10,7 @@ from itertools import takewhile
 import pytest
 
 from renet.deploy.main import RECORDING
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.deploy.safety.watchdog import HANGS, interruptible
 
 HANGING = """

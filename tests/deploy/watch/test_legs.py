@@ -1,14 +1,16 @@
 """The feet's places and speeds against MuJoCo's."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.watch.legs import Legs
-from renet.descriptions import GO1, GO2, RobotDescription
 from renet.errors import RenetError
 from renet.interface import JOINTS, LEGS, TRUNK
+from renet.robots import GO1, GO2
 
 
 @pytest.mark.parametrize("robot", [GO1, GO2], ids=lambda robot: robot.name)
@@ -44,4 +46,4 @@ def test_other_legs_are_refused(tmp_path, change, reason):
     file = tmp_path / "robot.xml"
     file.write_text(GO1.mjcf.read_text().replace(*change))
     with pytest.raises(RenetError, match=reason):
-        Legs(RobotDescription("robot", file, 0.3, GO1.speeds))
+        Legs(replace(GO1, mjcf=file))

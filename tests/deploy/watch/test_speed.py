@@ -4,7 +4,7 @@ import numpy as np
 
 from renet.deploy.watch.legs import Legs
 from renet.deploy.watch.speed import MOST_APART, SETTLED, SpeedWatch
-from renet.descriptions import GO1
+from renet.robots import GO1
 
 from ..fakes import STANDING, state, time_of
 

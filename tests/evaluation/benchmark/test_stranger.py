@@ -6,12 +6,13 @@ import pytest
 
 from renet.evaluation.benchmark.stranger import stranger
 from renet.interface import JOINTS, LEGS
-from renet.tasks.config.go1 import GO1
-from renet.tasks.config.go2 import GO2
+from renet.robots import GO2
+from renet.robots.model import load_model
+from renet.tasks import VISUAL_GO1
 
 
 def built(robot):
-    model = robot.checked_spec().compile()
+    model = load_model(robot).compile()
     data = mujoco.MjData(model)
     for joint in JOINTS:
         data.joint(joint).qpos[0] = {"hip": 0.1, "thigh": 0.7, "calf": -1.5}[joint.split("_")[1]]
@@ -19,7 +20,7 @@ def built(robot):
     return model, data
 
 
-@pytest.mark.parametrize("robot", [GO1, GO2], ids=lambda robot: robot.name)
+@pytest.mark.parametrize("robot", [VISUAL_GO1, GO2], ids=lambda robot: robot.name)
 def test_every_length_grows(robot):
     model, data = built(robot)
     other, grown = built(stranger(robot, 1.2))
@@ -35,7 +36,7 @@ def test_every_length_grows(robot):
 
 
 def test_motors_and_gains_stay():
-    other = stranger(GO1)
-    assert other.motors == GO1.motors
-    assert other.stiffness == GO1.stiffness
-    assert other.camera.position == pytest.approx([1.1 * x for x in GO1.camera.position])
+    other = stranger(VISUAL_GO1)
+    assert other.motors == VISUAL_GO1.motors
+    assert other.stiffness == VISUAL_GO1.stiffness
+    assert other.camera.position == pytest.approx([1.1 * x for x in VISUAL_GO1.camera.position])

@@ -16,7 +16,7 @@ from renet.evaluation.benchmark.walking import (
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.trace import StepResult
 from renet.faults import Frames
-from renet.tasks.config.go1 import GO1
+from renet.tasks import VISUAL_GO1
 from renet.tasks.sensors import depth_camera
 from renet.terrain.course import Gap, Plain, Platform
 
@@ -221,7 +221,7 @@ def test_walks_are_joined_in_the_episodes_order():
 
 
 def test_robots_meet_the_conditions_of_version_3():
-    cfg = course_env_cfg({"one": EPISODE.course}, GO1)
+    cfg = course_env_cfg({"one": EPISODE.course}, VISUAL_GO1)
     ranges = {
         name: {key: value for key, value in event.params.items() if "cfg" not in key}
         for name, event in cfg.events.items()

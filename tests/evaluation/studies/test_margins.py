@@ -8,11 +8,10 @@ import pytest
 from renet.evaluation.conditions import as_trained
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.studies.margins import ALLOWED, AXES, MarginsStudy, change, margin
-from renet.tasks import env_cfg
-from renet.tasks.config.go1 import GO1
+from renet.tasks import VISUAL_GO1, env_cfg
 from renet.tasks.sensors import depth_camera
 
-flat_cfg = partial(terrain_env_cfg, {"flat": 1}, GO1)
+flat_cfg = partial(terrain_env_cfg, {"flat": 1}, VISUAL_GO1)
 
 
 def settings(cfg) -> dict:

@@ -1,5 +1,5 @@
-"""What a run leaves behind: its recording, how it is replayed, scored and learned from."""
+"""Recordings of runs: written, read, replayed, scored, and learned from."""
 
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 
 __all__ = ["read_recording"]

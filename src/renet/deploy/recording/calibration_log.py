@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from renet.bundle import Bundle
-from renet.deploy.recording.recorder import GOOD, MODES, Recording, read_recording
+from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.score import fallen
+from renet.deploy.recording.tick import GOOD, MODES
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK

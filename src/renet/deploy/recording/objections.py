@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from renet.deploy.recording.recorder import MODES, Recording
+from renet.deploy.recording.reader import Recording
+from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 

@@ -9,7 +9,8 @@ import numpy as np
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller, Decision
-from renet.deploy.recording.recorder import GOOD, NONE, WISHES, Recording
+from renet.deploy.recording.reader import Recording
+from renet.deploy.recording.tick import GOOD, NONE, WISHES
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import EXHAUSTED, REFUSED

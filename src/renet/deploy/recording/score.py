@@ -12,8 +12,9 @@ import tyro
 
 from renet.bundle import Bundle
 from renet.deploy.recording.objections import legend_of, objectors
-from renet.deploy.recording.recorder import GOOD, MODES, Recording, read_recording
+from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.replay import mismatch
+from renet.deploy.recording.tick import GOOD, MODES
 from renet.deploy.robots.base import heading
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError, install

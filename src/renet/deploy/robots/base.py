@@ -24,10 +24,12 @@ class RobotState:
     """[4] base to world, (w, x, y, z)."""
     angular_velocity: np.ndarray
     """[3] rad/s, base frame."""
-    temperature: float = math.nan
-    """Temperature of the hottest motor, °C; NaN if it is not measured."""
+    temperature: np.ndarray | float = math.nan
+    """Temperatures of the motors, [12] °C, or that of the hottest; NaN if it is not measured."""
     battery: float = math.nan
     """Charge left, 0 to 1; NaN if the robot does not say."""
+    voltage: float = math.nan
+    """Voltage of the battery, V; likewise."""
     fault: str = ""
     """What the robot says is wrong with itself, such as a motor that obeys no more; else empty."""
 

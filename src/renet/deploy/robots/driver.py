@@ -5,8 +5,7 @@ from typing import ClassVar, Protocol
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import Envelope
-from renet.descriptions import RobotDescription
+from renet.robots import Robot
 
 
 class RobotDriver(Protocol):
@@ -15,8 +14,8 @@ class RobotDriver(Protocol):
     One that has a method `show` is asked to show itself to the user at every control step.
     """
 
-    envelope: Envelope
-    """The robot's own limits, which no bundle can widen."""
+    description: Robot
+    """Description of the robot, whose limits no bundle can widen."""
 
     def connect(self) -> None:
         """Begin to talk; raises RenetError with what to do when that fails."""
@@ -44,7 +43,7 @@ class DriverCfg:
 
     simulated: ClassVar[bool] = False
     """Whether the robot lives in this process, on a clock of its own."""
-    drives: ClassVar[RobotDescription | None] = None
+    drives: ClassVar[Robot | None] = None
     """The only robot that it drives; None: any that a bundle may have."""
     bundle: ClassVar[str | None] = None
     """Name of the bundle that ships for this robot; None: that of the Go1."""

@@ -114,6 +114,6 @@ def power_problem(state: RobotState | None, battery: float, temperature: float) 
     """Name the battery below a charge or the motor above a temperature in °C; empty if neither."""
     if getattr(state, "battery", math.nan) < battery:
         return f"the battery has less than {battery:.0%} left"
-    if getattr(state, "temperature", math.nan) > temperature:
+    if np.any(np.greater(getattr(state, "temperature", math.nan), temperature)):
         return f"a motor has more than {temperature:.0f} °C"
     return ""

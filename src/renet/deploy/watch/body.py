@@ -4,15 +4,14 @@ import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.watch.freezing import Freezing
 from renet.deploy.watch.intake import Intake
 from renet.deploy.watch.legs import Legs
 from renet.deploy.watch.motors import MotorWatch
 from renet.deploy.watch.speed import SpeedWatch
-from renet.descriptions import DESCRIPTIONS
 from renet.errors import RenetError
+from renet.robots import robots
 
 
 class BodyWatch:
@@ -73,14 +72,14 @@ class BodyWatch:
 
 def _speeds(robot: RobotSpec) -> np.ndarray:
     """[12] rad/s, beyond which a driver only brakes a joint; infinite where nobody knows."""
-    if robot.name not in DESCRIPTIONS:
+    if robot.name not in robots():
         return np.full(len(robot.joints), np.inf)
-    return read_envelope(DESCRIPTIONS[robot.name]).velocity
+    return robots()[robot.name].velocity
 
 
 def _speed_watch(robot: RobotSpec) -> SpeedWatch | None:
     """What compares the legs' speed, for robots whose legs are known."""
     try:
-        return SpeedWatch(Legs(DESCRIPTIONS[robot.name]))
+        return SpeedWatch(Legs(robots()[robot.name]))
     except (KeyError, RenetError):
         return None

@@ -4,20 +4,23 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from renet.descriptions import RobotDescription
 from renet.errors import RenetError
 from renet.interface import LEGS, TRUNK
+from renet.robots import Robot
 
 
 class Legs:
     """Kinematics of four legs, each with a hip that rolls, and a thigh and a calf that pitch."""
 
-    def __init__(self, robot: RobotDescription) -> None:
+    def __init__(self, robot: Robot) -> None:
         """Measure the legs in a robot's model.
 
         Raises:
-            RenetError: its joints turn about other axes, or a body is turned at rest.
+            RenetError: its joints turn about other axes, a body is turned at rest, or its model
+                is no file.
         """
+        if robot.mjcf is None:
+            raise RenetError(f"the model of a {robot.name} is no file: give it `mjcf`")
         root = ET.parse(robot.mjcf).getroot()
         trunk = next(body for body in root.iter("body") if body.get("name") == TRUNK)
         parts = [_leg(trunk, leg, robot.name) for leg in LEGS]

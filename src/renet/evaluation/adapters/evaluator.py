@@ -26,7 +26,7 @@ from renet.interface import (
     TURN_GAIN,
     proprioception_slices,
 )
-from renet.tasks import RobotCfg
+from renet.robots import Robot
 
 ADAPTERS = ("onnx-depth", "playground", "himloco", "robogauge", "robot-lab")
 """Adapters that come with renet, each a module of this package."""
@@ -73,7 +73,7 @@ class AdaptedPolicy:
     def __init__(
         self,
         adapter: Adapter,
-        robot: RobotCfg,
+        robot: Robot,
         told: str,
         default_position: np.ndarray,
         velocity: Callable[[], np.ndarray],
@@ -179,7 +179,7 @@ class AdaptedEvaluator(Evaluator):
         return np.asarray(self.bundle.manifest.robot.arrays["default_position"], np.float32)
 
     @property
-    def robot(self) -> RobotCfg:
+    def robot(self) -> Robot:
         """The bundle's robot with the gains of the policy's training."""
         robot = super().robot
         return replace(robot, stiffness=self.adapter.stiffness, damping=self.adapter.damping)

@@ -7,17 +7,18 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from renet.tasks import RobotCfg
+from renet.robots import Robot
+from renet.robots.model import load_model
 
 GROWN = 1.1
 """Length of the stranger's parts relative to the robot's."""
 
 
-def stranger(robot: RobotCfg, factor: float = GROWN) -> RobotCfg:
+def stranger(robot: Robot, factor: float = GROWN) -> Robot:
     """A robot whose every length is multiplied; density, motors and gains stay."""
 
     def spec() -> mujoco.MjSpec:
-        return grow(robot.spec(), factor)
+        return grow(load_model(robot), factor)
 
     position = tuple(factor * x for x in robot.camera.position)
     return replace(

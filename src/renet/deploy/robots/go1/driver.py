@@ -2,10 +2,9 @@
 
 import socket
 
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real.driver import RealRobot
-from renet.descriptions import GO1
 from renet.errors import RenetError, reason
+from renet.robots import GO1
 
 POWER_LEVEL = 9
 """Level of the vendor's overload guard, from 1 (10 % of the motors' power) to 10."""
@@ -39,7 +38,7 @@ def go1_robot(
         raise RenetError(f"no robot at {host!r}: {reason(error)}") from error
     return RealRobot(
         "Go1",
-        read_envelope(GO1),
+        GO1,
         "renet.deploy.robots.go1.link:Go1Link",
         (host, port, local_port, power_level),
         f"no answer from a Go1 at {host}:{port}: check the cable and this computer's address "

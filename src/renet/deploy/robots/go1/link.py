@@ -5,19 +5,19 @@ what it receives and keeps the newest good packet.
 """
 
 import importlib
+import math
 import socket
 from typing import Any
 
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real.braking import Link
 from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED
 from renet.deploy.robots.real.trouble import MotorTrouble
-from renet.descriptions import GO1
 from renet.errors import RenetError, install
 from renet.interface import ACTION_SIZE
+from renet.robots import GO1
 
 LOW_LEVEL = 0xFF
 SERVO = 0x0A
@@ -70,7 +70,7 @@ class Go1Link(Link):
         Raises:
             RenetError: no vendor's driver, or a local port that another program uses.
         """
-        super().__init__(read_envelope(GO1))
+        super().__init__(GO1)
         sdk = unitree()
         _require_free(local_port)
         self._udp = sdk.UDP(LOW_LEVEL, local_port, host, port)
@@ -122,7 +122,8 @@ class Go1Link(Link):
             joint_torque=np.array([motor.tauEst for motor in motors]),
             quaternion=np.array(self._in.imu.quaternion),
             angular_velocity=np.array(self._in.imu.gyroscope),
-            temperature=float(max(motor.temperature for motor in motors)),
+            temperature=np.array([motor.temperature for motor in motors], float),
             battery=self._in.bms.SOC / 100.0,
+            voltage=sum(self._in.bms.cell_vol) / 1000.0 or math.nan,
             fault=self._trouble.look(modes, np.zeros(ACTION_SIZE), self.commanded, now),
         )

@@ -2,10 +2,9 @@
 
 from importlib.util import find_spec
 
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.real.driver import RealRobot
-from renet.descriptions import GO2
 from renet.errors import RenetError, install
+from renet.robots import GO2
 
 
 def demand_dds() -> None:
@@ -33,7 +32,7 @@ def go2_robot(
     demand_dds()
     return RealRobot(
         "Go2",
-        read_envelope(GO2),
+        GO2,
         "renet.deploy.robots.go2.link:Go2Link",
         (interface, domain, watch),
         f"no answer from a Go2 on {interface}: check the cable and this computer's address "

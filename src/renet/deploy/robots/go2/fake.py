@@ -32,8 +32,8 @@ from renet.deploy.robots.go2.switch import (
 )
 from renet.deploy.robots.real.braking import PERIOD
 from renet.deploy.robots.sim.scene import build_scene
-from renet.descriptions import GO2
 from renet.interface import JOINTS, TRUNK
+from renet.robots import GO2
 
 LOOPBACK = "lo"
 SPORT = "normal"

@@ -9,7 +9,7 @@ import numpy as np
 from cyclonedds.core import DDSException
 
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
+from renet.deploy.robots.envelope import clamp
 from renet.deploy.robots.go2.integrity import Integrity
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
 from renet.deploy.robots.go2.network import Network
@@ -17,8 +17,8 @@ from renet.deploy.robots.go2.switch import MotionSwitcher
 from renet.deploy.robots.real.braking import BRAKE, Link
 from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED, Speakers
 from renet.deploy.robots.real.trouble import MotorTrouble
-from renet.descriptions import GO2
 from renet.interface import ACTION_SIZE
+from renet.robots import GO2
 
 COMMANDS, STATES = "rt/lowcmd", "rt/lowstate"
 MOTORS = slice(0, ACTION_SIZE)
@@ -60,7 +60,7 @@ class Go2Link(Link):
 
         `watch` means only to look: to end no mode, and never to command.
         """
-        super().__init__(read_envelope(GO2))
+        super().__init__(GO2)
         network = Network(interface, domain)
         self._commands = network.writer(COMMANDS, LowCmd)
         self._others = network.reader(COMMANDS, LowCmd)
@@ -174,7 +174,7 @@ class Go2Link(Link):
             # A servo gives no torque where it should be: it must aim beyond that.
             aim = self._angles + np.clip(self._load / HOLD, -MOST_BEYOND, MOST_BEYOND)
             gains = np.full(ACTION_SIZE, HOLD), np.full(ACTION_SIZE, BRAKE)
-            self.holding = self._envelope.clamp(JointCommand(aim, *gains))
+            self.holding = clamp(self._robot, JointCommand(aim, *gains))
 
     def _send(self, command: JointCommand | None) -> None:
         early = self._command is not None and not self._free
@@ -199,6 +199,7 @@ def reading(values: Any, now: float) -> RobotState:
         joint_torque=motors["tau_est"].astype(float),
         quaternion=imu["quaternion"].astype(float),
         angular_velocity=imu["gyroscope"].astype(float),
-        temperature=float(np.max(motors["temperature"])),
+        temperature=motors["temperature"].astype(float),
         battery=charge if charge > 0.0 else math.nan,
+        voltage=float(values["power_v"]) or math.nan,
     )

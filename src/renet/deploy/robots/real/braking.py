@@ -8,8 +8,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import Envelope
+from renet.deploy.robots.envelope import clamp
 from renet.deploy.robots.real.identity import Count
+from renet.robots import Robot
 
 PERIOD = 0.002
 """Seconds between two exchanges with a robot's motors."""
@@ -34,9 +35,9 @@ class Link(ABC):
     leap = 100
     """Most by which one reading's count may be ahead of the last one's."""
 
-    def __init__(self, envelope: Envelope) -> None:
+    def __init__(self, robot: Robot) -> None:
         """Begin without a command: joints are left alone until the first."""
-        self._envelope = envelope
+        self._robot = robot
         self._command: JointCommand | None = None
         self.commanded = -math.inf
         """When the newest command was given; -inf before the first."""
@@ -54,12 +55,12 @@ class Link(ABC):
         self._alive = max(self._alive, since)
 
     def command(self, command: JointCommand, now: float) -> None:
-        """Send this, within the robot's envelope, from the next exchange on.
+        """Send this, within the robot's limits, from the next exchange on.
 
         Raises:
             RenetError: it is not made of 12 finite numbers each; the one before stands.
         """
-        self._command = self._envelope.clamp(command, self.state)
+        self._command = clamp(self._robot, command, self.state)
         self.commanded = now
 
     def exchange(self, now: float) -> None:

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import Envelope
+from renet.deploy.robots.envelope import clamp
 from renet.deploy.robots.real.braking import HEARTBEAT, PERIOD
 from renet.deploy.robots.real.lock import claim
 from renet.deploy.robots.real.mailbox import ALIVE, COMMAND, READING, SIZE, VALUES, clock, mailboxes
 from renet.errors import RenetError
+from renet.robots import Robot
 
 
 @dataclass
@@ -30,7 +31,7 @@ class RealRobot:
     """
 
     name: str
-    envelope: Envelope
+    description: Robot
     link: str
     """MODULE:CLASS of its `braking.Link`."""
     settings: tuple[Any, ...]
@@ -106,7 +107,7 @@ class RealRobot:
             raise RenetError(f"the process that talks to the {self.name} has died")
         if self._problem:
             raise RenetError(self._problem)
-        within = self.envelope.clamp(command)
+        within = clamp(self.description, command)
         message = (clock(), within.position, within.stiffness, within.damping)
         self._commands.write(np.array(message, COMMAND))
 

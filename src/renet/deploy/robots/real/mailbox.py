@@ -7,14 +7,21 @@ import zlib
 import numpy as np
 
 from renet.deploy.robots.base import VECTORS
+from renet.interface import ACTION_SIZE
 
 ALIVE = np.dtype([("time", "f8")])
 COMMAND = np.dtype(
     [("time", "f8"), ("position", "f8", 12), ("stiffness", "f8", 12), ("damping", "f8", 12)]
 )
-VALUES = ("time", *VECTORS, "temperature", "battery")
+NUMBERS = [
+    ("time", "f8"),
+    *((name, "f8", size) for name, size in VECTORS.items()),
+    ("temperature", "f8", ACTION_SIZE),
+    ("battery", "f8"),
+    ("voltage", "f8"),
+]
 """Fields of a `RobotState` that are numbers."""
-NUMBERS = [(name, "f8", VECTORS.get(name, ())) for name in VALUES]
+VALUES = tuple(entry[0] for entry in NUMBERS)
 TEXTS = [("fault", "S100"), ("problem", "S400"), ("refused", "S400")]
 READING = np.dtype([("valid", "?"), *NUMBERS, *TEXTS])
 SIZE = 4096

@@ -7,12 +7,11 @@ import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.envelope import read_envelope
 from renet.deploy.robots.sim.servos import make_servos
-from renet.descriptions import find_description
 from renet.errors import RenetError
 from renet.interface import JOINTS, TRUNK
 from renet.motor_models import MotorModel
+from renet.robots import find_robot
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
@@ -42,9 +41,10 @@ class MujocoRobot:
             real_time: whether to pace the simulation to the wall clock.
             motors: of its joints, which step with the physics; ideal by default.
         """
-        description = find_description(robot.name)
-        self.model, self.data = model, place(model, ground + description.height)
-        self._real_time, self.envelope = real_time, read_envelope(description)
+        self.description = find_robot(robot.name)
+        self.model = model
+        self.data = place(model, ground + self.description.height)
+        self._real_time = real_time
         joints = [model.joint(name) for name in JOINTS]
         self._servos = make_servos(model, self.data, motors)
         self._position = np.array([joint.qposadr[0] for joint in joints])

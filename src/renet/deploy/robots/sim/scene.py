@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from renet.deploy.robots.sim.scene_file import attach_scene, ground_height, try_scene
-from renet.descriptions import GO1, RobotDescription
+from renet.robots import GO1, Robot
+from renet.robots.model import simulation_model
 from renet.terrain.height_map import ARRAY, PICTURE
 from renet.terrain.own_ground import GroundFile
 from renet.terrain.tiles import TILE, Tile, find_tile
@@ -24,7 +25,7 @@ def build_scene(
     level: int = 3,
     file: Path | str | None = None,
     seed: int = 0,
-    robot: RobotDescription = GO1,
+    robot: Robot = GO1,
     width: float = TILE,
     height: float = 0.3,
 ) -> tuple[mujoco.MjModel, float]:
@@ -38,7 +39,7 @@ def scene_spec(
     level: int = 3,
     file: Path | str | None = None,
     seed: int = 0,
-    robot: RobotDescription = GO1,
+    robot: Robot = GO1,
     width: float = TILE,
     height: float = 0.3,
 ) -> tuple[mujoco.MjSpec, float]:
@@ -51,7 +52,7 @@ def scene_spec(
     Raises:
         RenetError: unknown terrain or level, or a scene file in which no robot can stand.
     """
-    spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+    spec = simulation_model(robot)
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
     start = 0.0
     if file is not None and Path(file).suffix.lower() in (ARRAY, PICTURE):

@@ -11,9 +11,10 @@ import mujoco
 
 from renet.deploy.robots.sim.concavity import demand_convex
 from renet.deploy.robots.sim.mujoco import UNSEEN_GROUP, check_physics, place
-from renet.descriptions import RobotDescription
 from renet.errors import RenetError
 from renet.files import require_regular
+from renet.robots import Robot
+from renet.robots.model import simulation_model
 from renet.terrain.own_ground import MAX_SCENE, TOUCHED, ground_height
 from renet.trial import judge, run_trial
 
@@ -63,17 +64,17 @@ def show_what_collides(scene: mujoco.MjSpec) -> None:
             geom.material = ""
 
 
-def try_scene(file: Path, robot: RobotDescription) -> None:
+def try_scene(file: Path, robot: Robot) -> None:
     """Raise RenetError unless a robot can stand in a scene, without loading it in this process."""
     require_regular(file, MAX_SCENE, "scene")
-    arguments = [str(file), str(robot.mjcf), str(robot.height)]
+    arguments = [str(file), simulation_model(robot).to_xml(), str(robot.height)]
     run_trial("renet.deploy.robots.sim.scene_file", arguments, f"cannot use the scene {file}")
 
 
 def _trial() -> str:
     """What is wrong with the scene that the command line names."""
     file, mjcf, height = sys.argv[1:]
-    spec = mujoco.MjSpec.from_file(mjcf)
+    spec = mujoco.MjSpec.from_string(mjcf)
     try:
         attach_scene(spec, Path(file))
         model = spec.compile()

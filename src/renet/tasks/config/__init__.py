@@ -1,1 +1,0 @@
-"""One module for each robot that the tasks are registered for."""
