@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Walks the quick set of renet-faults 3 with the policies that ship, rivals of their selector, and
-# policies of others: benchmark.sh FOLDER, which holds go1_policy.onnx, himloco.pt,
+# Walks renet-faults 3 with the policy that ships and oracles of its selector, and its quick set with
+# more rivals and policies of others: benchmark.sh FOLDER, which holds go1_policy.onnx, himloco.pt,
 # go2_moe_cts_124k.pt and robot_lab.pt (docs/benchmark.md says where they are).
 set -euo pipefail
 models=$1
@@ -17,6 +17,15 @@ judge() { # NAME ARGUMENTS...
     python benchmarks/judges.py "${@:2}" --study.quick --study.out "results/benchmark/$1"
     keep "$1"
 }
+
+mkdir -p "$kept/full"
+full() { # NAME COMMAND...: keeps the result of all 200 episodes.
+    "${@:2}" "results/benchmark/full/$1"
+    cp "results/benchmark/full/$1/result.json" "$kept/full/$1.json"
+}
+full go1-parkour renet evaluate benchmark --jobs 2 --out
+full oracle python benchmarks/judges.py oracle --study.out
+full oracle_withholds python benchmarks/judges.py oracle --withholds --study.out
 
 for bundle in go1-parkour go2-parkour; do
     renet evaluate benchmark --quick --bundle "$bundle" --out "results/benchmark/$bundle"

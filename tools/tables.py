@@ -36,16 +36,11 @@ SWITCHES = (
     ("severity_5", "blind"),
 )
 """Studies and modes of the table of switches, column by column."""
-LEADERBOARD = (
-    "go1-parkour",
-    "oracle",
-    "oracle_withholds",
-    "playground",
-    "himloco",
-    "robogauge",
-    "robot-lab",
-)
-"""Result files of the fault benchmark's quick leaderboard, the reference first."""
+LEADERBOARDS = {
+    "Results": ("full/go1-parkour", "full/oracle", "full/oracle_withholds"),
+    "The quick set": ("go1-parkour", "playground", "himloco", "robogauge", "robot-lab"),
+}
+"""Result files of the fault benchmark's leaderboards, the reference first, by heading."""
 
 
 @cache
@@ -124,6 +119,13 @@ def kilometre(label: str) -> list[str]:
     return [f"{total['metres'] / 1000:.2f}", *falls, *times]
 
 
+def loudness(mode: str) -> list[str]:
+    """The cells of a mode, %: crossed under loud faults, under lies, by strangers; falls."""
+    path = RESULTS / "benchmark" / "full" / "go1-parkour.json"
+    score = read_result(path)["scores"][mode]
+    return [f"{100 * score[name]:.1f}" for name in ("loud", "lies", "stranger", "falls")]
+
+
 def sections(label: str) -> list[str]:
     """How many walks over a section of the long walk ended in a fall or stuck, by mode."""
     ends = kilometre_summary()["sections"][label]
@@ -194,6 +196,8 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),
     ("results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
     ("benchmark.md", "Results"): None,
+    ("benchmark.md", "Loud faults and lies"): loudness,
+    ("benchmark.md", "The quick set"): None,
     ("benchmark.md", "The kilometre"): kilometre,
     ("benchmark.md", "Where they fall"): sections,
 }
@@ -201,9 +205,9 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
 None: a leaderboard, whose rows are all new."""
 
 
-def leaderboard() -> list[list[str]]:
-    """The rows of the fault benchmark's quick leaderboard, best first."""
-    files = [RESULTS / "benchmark" / f"{name}.json" for name in LEADERBOARD]
+def leaderboard(heading: str) -> list[list[str]]:
+    """The rows of a leaderboard of the fault benchmark, best first."""
+    files = [RESULTS / "benchmark" / f"{name}.json" for name in LEADERBOARDS[heading]]
     rows = ranking([read_result(file) for file in files])[2]
     return [[*row[:-1], row[-1].replace("-", "−")] for row in rows]
 
@@ -215,7 +219,7 @@ def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = No
     top = next(i for i in range(below, len(text)) if text[i].startswith("|---")) + 1
     end = next(i for i in range(top, len(text)) if not text[i].startswith("|"))
     labels = [line.strip("| ").split(" | ")[0] for line in text[top:end]]
-    rows = [[label, *fill(label)] for label in labels] if fill else leaderboard()
+    rows = [[label, *fill(label)] for label in labels] if fill else leaderboard(heading)
     return "\n".join([*text[:top], *(f"| {' | '.join(row)} |" for row in rows), *text[end:]])
 
 
