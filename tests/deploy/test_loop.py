@@ -14,7 +14,7 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import BRAKING, run_control_loop
 from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.recorder import Recorder
-from renet.deploy.recording.replay import mismatch
+from renet.deploy.recording.replay import replay_error
 from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
@@ -51,7 +51,7 @@ class Rig:
         run_control_loop(*devices, controller, log, done=lambda: self.robot.now() >= seconds)
         log.close()
         flight = read_recording(log.path)
-        assert mismatch(flight, self.bundle) == 0.0
+        assert replay_error(flight, self.bundle) == 0.0
         return flight
 
 

@@ -23,7 +23,7 @@ from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
 from renet.deploy.recording.reader import Recording, read_recording
-from renet.deploy.recording.replay import mismatch
+from renet.deploy.recording.replay import replay_error
 from renet.deploy.recording.score import SCORE, TIMELINE, write_score
 from renet.deploy.recording.tick import MODES
 from renet.deploy.robots.sim.mujoco import MujocoRobot
@@ -68,7 +68,7 @@ def test_out_of_the_box_it_remembers_the_gap_and_crosses_it_with_its_camera_blac
     assert ET.parse(tmp_path / TIMELINE)
     flight = read_recording(tmp_path / RECORDING)
     assert braked_at_the_end(flight)
-    assert mismatch(flight, Bundle.load()) == 0.0
+    assert replay_error(flight, Bundle.load()) == 0.0
     assert [event.why for event in flight.events][-1] == "the run ends"
 
 
@@ -94,7 +94,7 @@ def test_the_papers_selector_is_told_to_the_log(tmp_path):
     assert flight.header["mode"] == "switch"
     assert flight.header["beta"] == Bundle.load().manifest.selector.beta
     assert flight.events[-2].why == "images unlike those of training"
-    assert mismatch(flight, Bundle.load()) == 0.0
+    assert replay_error(flight, Bundle.load()) == 0.0
 
 
 def test_nothing_is_printed_by_the_thread_that_drives_the_robot(tmp_path, monkeypatch):
@@ -192,7 +192,7 @@ def test_the_go1s_address_and_power_level_are_options():
 
 
 def test_real_time_flies_on_the_threads_and_replays(tmp_path):
-    assert mismatch(run(tmp_path, driver=SimulationCfg(real_time=True)), Bundle.load()) == 0.0
+    assert replay_error(run(tmp_path, driver=SimulationCfg(real_time=True)), Bundle.load()) == 0.0
 
 
 def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onset(tmp_path):

@@ -216,14 +216,14 @@ def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end
     bundle, tmp_path, monkeypatch, hang
 ):
     monkeypatch.setattr(recorder.os, "fsync", hang)
-    monkeypatch.setattr(recorder, "CLOSING", 0.1)
+    monkeypatch.setattr(recorder, "DISK_SECONDS", 0.1)
     log = Recorder(tmp_path / "a.mcap", {})
     robot, told = Standing(), []
     controller = walk(bundle, robot, 100.0, log, on_step=lambda *step: told.append(log.problem))
     log.close()
     assert hang.reached.is_set()
     assert controller.machine.reason == "the run ends", "every step was made"
-    assert log._chunks.qsize() <= recorder.MAX_WAITING
+    assert log._chunks.qsize() <= recorder.MAX_CHUNKS
     assert "the disk does not keep up" in log.problem
     assert told[0] == "", "it was told while the robot walked"
     assert told[-1] == log.problem

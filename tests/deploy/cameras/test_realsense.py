@@ -79,8 +79,8 @@ def bus(monkeypatch) -> Bus:
 @pytest.fixture
 def hasty(monkeypatch) -> None:
     """Cameras look for a lost device at once."""
-    monkeypatch.setattr(realsense, "SILENCE", 0.02)
-    monkeypatch.setattr(realsense, "RETRY", 0.005)
+    monkeypatch.setattr(realsense, "FRAME_TIMEOUT", 0.02)
+    monkeypatch.setattr(realsense, "RETRY_INTERVAL", 0.005)
 
 
 @contextmanager

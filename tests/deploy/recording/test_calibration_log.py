@@ -83,7 +83,7 @@ def test_a_late_tick_of_vision_parts_a_walk(flight):
     late = slice(walk.start + 50, walk.start + 55)
     first, second = healthy_walks(altered(flight, "anomaly", late, np.inf))
     assert (first.start, first.stop) == (walk.start, late.start)
-    assert second.start == late.stop + calibration_log.WARM_UP
+    assert second.start == late.stop + calibration_log.SETTLING_STEPS
 
 
 def test_calibrate_writes_what_the_log_says(log, flight, bundle, monkeypatch):

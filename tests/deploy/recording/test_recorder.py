@@ -19,7 +19,7 @@ from renet.deploy.recording import channels, reader, recorder
 from renet.deploy.recording.channels import Topic
 from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.recorder import Recorder
-from renet.deploy.recording.replay import mismatch, replay
+from renet.deploy.recording.replay import replay_error, replay_run
 from renet.deploy.recording.tick import BAD, MODES
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -96,8 +96,8 @@ def test_replay_is_bit_for_bit(bundle, flight, tmp_path, monkeypatch):
     monkeypatch.setattr(ThreadedInference, "patience", 0.0)
     run_control_loop(bundle, tmp_path / "a.mcap", ThreadedInference)
     for run in (flight, read_recording(tmp_path / "a.mcap")):
-        assert mismatch(run, bundle) == 0.0
-    vision = [decision.vision for decision in replay(flight, bundle)]
+        assert replay_error(run, bundle) == 0.0
+    vision = [decision.vision for decision in replay_run(flight, bundle)]
     np.testing.assert_array_equal(vision, flight.ticks["vision"])
     assert 0 < np.mean(vision) < 1
 
@@ -115,7 +115,7 @@ def test_replay_is_bit_for_bit(bundle, flight, tmp_path, monkeypatch):
 def test_a_run_of_another_bundle_cannot_be_replayed(bundle, flight, header, message):
     merged = {key: value for key, value in (flight.header | header).items() if value is not ...}
     with pytest.raises(RenetError, match=message):
-        next(replay(replace(flight, header=merged), bundle))
+        next(replay_run(replace(flight, header=merged), bundle))
 
 
 def ends_of_chunks(data: bytes) -> list[int]:
@@ -176,7 +176,7 @@ def test_texts_and_seconds_of_any_size_are_read_back(tmp_path):
     assert log.problem == ""
     flight = read_recording(tmp_path / "a.mcap")
     assert flight.complete
-    assert [event.why for event in flight.events] == [why[: channels.MAX_TEXT] for why in reasons]
+    assert [event.why for event in flight.events] == [why[: channels.MAX_REASON] for why in reasons]
 
 
 def test_a_robot_that_lies_still_with_a_covered_camera_is_read_back(tmp_path, monkeypatch):

@@ -10,7 +10,14 @@ import pytest
 from renet.deploy.controller import Event
 from renet.deploy.recording.objections import objectors, ratios
 from renet.deploy.recording.reader import Recording
-from renet.deploy.recording.score import BANDS, draw_timeline, score, shares, track, write_score
+from renet.deploy.recording.score import (
+    BANDS,
+    draw_run,
+    score_run,
+    state_shares,
+    track,
+    write_score,
+)
 from renet.deploy.recording.tick import GOOD, MODES, NONE, TICK_DTYPE
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError
@@ -43,7 +50,7 @@ def flight() -> Recording:
 
 
 def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
-    result = score(flight, [5.8])
+    result = score_run(flight, [5.8])
     assert result["walking_seconds"] == 8.0
     assert result["distance_from"] == "estimator"
     assert result["distance_m"] == pytest.approx(4 * 0.5 + 4 * 0.4, abs=0.02)
@@ -60,16 +67,16 @@ def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
 
 def test_a_simulators_truth_wins(flight):
     flight.ticks["base_position"] = np.linspace((0, 0, 0.3), (3, 4, 0.3), STEPS)
-    result = score(flight, [])
+    result = score_run(flight, [])
     assert result["distance_from"] == "simulator"
     assert result["distance_m"] == pytest.approx(5.0 * 0.8, abs=0.02)
     assert result["blind_before_first_fault"] == 1, "without a fault it is a false alarm"
 
 
 def test_switch_delays(flight):
-    assert score(flight, [7.0, 9.999])["switch_delay_s"] == [0.0, None]
+    assert score_run(flight, [7.0, 9.999])["switch_delay_s"] == [0.0, None]
     flight.ticks["vision"][RISEN:] = True
-    assert score(flight, [5.8])["switch_delay_s"] == [None]
+    assert score_run(flight, [5.8])["switch_delay_s"] == [None]
 
 
 def test_falls_are_counted_once_each(flight):
@@ -79,26 +86,26 @@ def test_falls_are_counted_once_each(flight):
     quaternion[:5], quaternion[5:8] = np.nan, 0.0
     quaternion[100:120] = turned("x", 59)
     flight.ticks["state"][250:260] = NONE
-    assert score(flight, [])["falls"] == 2
+    assert score_run(flight, [])["falls"] == 2
     flight.events.append(Event(1005.9, "damping", ENDED))
-    assert score(flight, [])["falls"] == 1, "who topples when it is let go does not fall"
+    assert score_run(flight, [])["falls"] == 1, "who topples when it is let go does not fall"
 
 
 def test_one_odd_reading_and_a_robot_that_begins_on_its_back_are_no_falls(flight):
     flight.ticks["quaternion"][300] = turned("x", 180)
-    assert score(flight, [])["falls"] == 0
+    assert score_run(flight, [])["falls"] == 0
     flight.ticks["quaternion"][:] = turned("x", 180)
     flight.ticks["mode"] = MODES.index(Mode.DAMPING)
-    assert score(flight, [])["falls"] == 0
+    assert score_run(flight, [])["falls"] == 0
 
 
 def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):
     position = flight.ticks["base_position"]
     position[:] = (0.0, 0.0, 0.3)
     position[150:200, 2], position[200:, 2] = np.linspace(0.3, -0.3, 50), -0.3
-    assert score(flight, [])["falls"] == 0
+    assert score_run(flight, [])["falls"] == 0
     position[300:, 2] -= 4.9 * (CONTROL_DT * np.arange(STEPS - 300)) ** 2
-    assert score(flight, [])["falls"] == 1
+    assert score_run(flight, [])["falls"] == 1
 
 
 def test_an_empty_flight(tmp_path):
@@ -111,7 +118,7 @@ def test_an_empty_flight(tmp_path):
 
 def drawn(flight: Recording, onsets, folder) -> str:
     """Everything the timeline shows as text, with the colours of its shapes."""
-    draw_timeline(flight, onsets, folder / "timeline.svg")
+    draw_run(flight, onsets, folder / "timeline.svg")
     page = (folder / "timeline.svg").read_text()
     ET.fromstring(page)
     return page
@@ -156,7 +163,7 @@ def test_a_folder_that_cannot_be_written(flight, tmp_path):
     ],
 )
 def test_shares_of_a_walk_add_up(vision, memory, words):
-    assert shares({"vision_share": vision, "memory_share": memory}) == words
+    assert state_shares({"vision_share": vision, "memory_share": memory}) == words
     percent = [int(part.split()[1]) for part in words.split(", ")]
     assert sum(percent) == 100
 

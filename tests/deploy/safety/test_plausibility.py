@@ -95,7 +95,7 @@ def test_no_reading_of_a_robot_that_walks_is_pushed_or_falls_comes_near_the_limi
     robot.wait = pushed
     for name in ("MAX_JUMP", "MAX_TWIST", "MAX_DRIFT", "MAX_SKIP", "MAX_SLIP"):
         monkeypatch.setattr(plausibility, name, getattr(plausibility, name) / 2)
-    monkeypatch.setattr(freezing, "MOST_ALIKE", 2)
+    monkeypatch.setattr(freezing, "MAX_ALIKE", 2)
     hand, done = SimpleNamespace(command=pushy), lambda: robot.now() > 8
     run_control_loop(robot, None, hand, controller, on_step=note, done=done)
     drifts, problems = zip(*most, strict=True)

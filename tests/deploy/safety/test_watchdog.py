@@ -61,7 +61,7 @@ LATE = """
 import time
 from renet.deploy.safety import watchdog
 
-watchdog.PATIENCE = 0.5
+watchdog.HANG_SECONDS = 0.5
 
 def close():
     print("braked", flush=True)
@@ -95,6 +95,10 @@ def test_a_terminal_that_is_gone_or_hangs_keeps_nobody_from_braking():
     full += "while True:\n try: os.write(2, bytes(65536))\n except BlockingIOError: break\n"
     full += "os.set_blocking(2, True)\n"
     for ill in ("import os, sys; os.close(2); sys.stderr = None\n", full):
-        program = [sys.executable, "-c", ill + LATE.replace("0.5", "0.5\nwatchdog.CLOSING = 3.0")]
+        program = [
+            sys.executable,
+            "-c",
+            ill + LATE.replace("0.5", "0.5\nwatchdog.CLOSE_SECONDS = 3.0"),
+        ]
         ended = subprocess.run(program, stdout=subprocess.PIPE, text=True, timeout=60)
         assert (ended.returncode, ended.stdout) == (2, "braked\n")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from renet.deploy.watch.freezing import MOST_ALIKE, Freezing
+from renet.deploy.watch.freezing import MAX_ALIKE, Freezing
 
 from ..fakes import STANDING, live, time_of
 
@@ -36,7 +36,7 @@ def test_each_vector_is_watched_for_itself_while_the_robot_has_power(name, reaso
     held = {name: getattr(live(joint_torque=np.arange(12.0)), name)}
     readings = [replace(live(joint_torque=np.full(12, 1.0 + n)), **held) for n in range(6)]
     assert watch(readings) == reason
-    assert watch(readings[:MOST_ALIKE]) == ""
+    assert watch(readings[:MAX_ALIKE]) == ""
     assert watch(readings, powered=False) == "", "a robot that lies may read the same for long"
 
 
@@ -52,7 +52,7 @@ def test_readings_in_a_row_are_counted():
     stale = live()
     names = ("quaternion", "joint_position")
     same = {name: getattr(stale, name) for name in names}
-    held = [replace(live(), **same) for _ in range(MOST_ALIKE)]
+    held = [replace(live(), **same) for _ in range(MAX_ALIKE)]
     assert watch([*held, live(), *held, live(), *held]) == ""
 
 
@@ -71,7 +71,7 @@ def test_a_joint_that_stays_while_its_target_moves_is_named():
     readings = frozen_joint(6)
     told = "RR_thigh_joint is frozen or blocked: 6 readings are the same"
     assert watch(readings, targets=MOVING) == told
-    assert watch(readings[:MOST_ALIKE], targets=MOVING) == ""
+    assert watch(readings[:MAX_ALIKE], targets=MOVING) == ""
 
 
 def test_a_joint_that_is_told_to_stay_may_say_the_same():

@@ -7,7 +7,7 @@ import pytest
 
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.watch.intake import ACCEPTED, CALM, Intake
+from renet.deploy.watch.intake import ACCEPTANCE, RECOVERY, Intake
 from renet.training.export import robot_spec
 
 from ..fakes import STANDING, state, time_of, turned
@@ -65,7 +65,7 @@ def test_odd_ones_between_good_ones_are_told_too(changes, reason):
     said = [(taken.take(1, **changes), taken.take(1)) for _ in range(3)]
     assert [bool(why) for why, _ in said] == [False, False, True]
     assert reason in taken.said
-    taken.take(CALM)
+    taken.take(RECOVERY)
     assert taken.said == "", "they are forgotten after a while"
 
 
@@ -73,8 +73,8 @@ def test_a_joint_that_slipped_for_good_is_told_and_later_believed():
     taken, slipped = Taken(), STANDING + 0.5 * SWAY
     taken.take(20)
     assert "jumped" in taken.take(4, joint_position=slipped)
-    assert "jumped" in taken.take(ACCEPTED - 10, joint_position=slipped)
-    assert taken.take(10 + CALM, joint_position=slipped) == ""
+    assert "jumped" in taken.take(ACCEPTANCE - 10, joint_position=slipped)
+    assert taken.take(10 + RECOVERY, joint_position=slipped) == ""
     np.testing.assert_array_equal(taken.newest.joint_position, slipped)
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from renet.deploy.watch.motors import IN_A_ROW, LATER, SOON, MotorWatch
+from renet.deploy.watch.motors import ABSURD_READINGS, LONG_WINDOW, SHORT_WINDOW, MotorWatch
 
 from ..fakes import STANDING, command, state, time_of
 
@@ -55,16 +55,28 @@ def test_motors_that_do_about_what_they_are_told_are_believed(motor):
 @pytest.mark.parametrize(
     ("motor", "steps", "reason"),
     [
-        (lambda a, n: one(1, 0.0) * a, SOON, "FR_thigh_joint does not obey: its motor gives no"),
-        (lambda a, n: one(5, 0.0) * a, SOON, "FL_calf_joint does not obey: its motor gives no"),
-        (lambda a, n: one(4, 0.25) * a, LATER, "FL_thigh_joint is too weak"),
+        (
+            lambda a, n: one(1, 0.0) * a,
+            SHORT_WINDOW,
+            "FR_thigh_joint does not obey: its motor gives no",
+        ),
+        (
+            lambda a, n: one(5, 0.0) * a,
+            SHORT_WINDOW,
+            "FL_calf_joint does not obey: its motor gives no",
+        ),
+        (lambda a, n: one(4, 0.25) * a, LONG_WINDOW, "FL_thigh_joint is too weak"),
         (
             lambda a, n: a + 40.0 * (np.arange(12) == 8),
-            SOON,
+            SHORT_WINDOW,
             "RR_calf_joint does not obey: it gives",
         ),
-        (lambda a, n: -3.0 * a, SOON, "does not obey: it gives"),
-        (lambda a, n: 1e9 + 0.0 * a, IN_A_ROW, "FR_hip_joint says 1e+09 N m, which no motor"),
+        (lambda a, n: -3.0 * a, SHORT_WINDOW, "does not obey: it gives"),
+        (
+            lambda a, n: 1e9 + 0.0 * a,
+            ABSURD_READINGS,
+            "FR_hip_joint says 1e+09 N m, which no motor",
+        ),
     ],
 )
 def test_a_motor_that_does_not_is_named_in_time(motor, steps, reason):
@@ -79,8 +91,8 @@ def test_one_absurd_torque_is_a_mistake(torque):
 
 def test_what_was_before_is_forgotten():
     motors = MotorWatch(TORQUE, SPEED, 0.12)
-    for step in range(2 * SOON):
-        if step % (SOON - 1) == 0:
+    for step in range(2 * SHORT_WINDOW):
+        if step % (SHORT_WINDOW - 1) == 0:
             motors.start_over()
         motors.told(command(swing(step)))
         reading = state(time_of(step), joint_torque=0.0 * TORQUE + (step == 0))
@@ -90,7 +102,7 @@ def test_what_was_before_is_forgotten():
 def test_a_joint_beyond_its_speed_is_not_compared():
     """Drivers only brake it."""
     motors = MotorWatch(TORQUE, np.full(12, 1.0), 0.12)
-    for step in range(3 * SOON):
+    for step in range(3 * SHORT_WINDOW):
         motors.told(command(swing(step)))
         fast = SimpleNamespace(
             joint_position=STANDING, joint_velocity=np.full(12, 2.0), joint_torque=np.full(12, 0.1)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from renet.deploy.watch.legs import Legs
-from renet.deploy.watch.speed import MOST_APART, SETTLED, SpeedWatch
+from renet.deploy.watch.speed import MAX_DIFFERENCE, MIN_READINGS, SpeedWatch
 from renet.robots import GO1
 
 from ..fakes import STANDING, state, time_of
@@ -33,19 +33,19 @@ def watch(speed: float, estimate: float, turn: float = 0.0, steps: int = 200) ->
 
 def test_a_robot_as_fast_as_it_believes_is_believed():
     assert set(watch(0.8, 0.8)) == {""}
-    assert set(watch(0.8, 0.8 + 0.9 * MOST_APART)) == {""}
+    assert set(watch(0.8, 0.8 + 0.9 * MAX_DIFFERENCE)) == {""}
 
 
 def test_one_that_is_faster_is_not_once_that_is_sure():
     said = watch(1.8, 0.5)
-    assert set(said[: SETTLED - 1]) == {""}
+    assert set(said[: MIN_READINGS - 1]) == {""}
     assert said[-1] == "the legs move 1.3 m/s faster or slower than the policy believes"
 
 
 def test_the_past_is_forgotten():
     seen = SpeedWatch(Legs(GO1))
-    for n in range(3 * SETTLED):
-        if n % (SETTLED - 1) == 0:
+    for n in range(3 * MIN_READINGS):
+        if n % (MIN_READINGS - 1) == 0:
             seen.start_over()
         reading = state(time_of(n), joint_velocity=gliding(3.0))
         assert seen.problem(reading, np.zeros(3)) == ""

@@ -1,1 +1,1 @@
-"""Depth cameras a controller can look through; `base` is the interface."""
+"""Depth cameras of a controller; `base` defines their interface."""

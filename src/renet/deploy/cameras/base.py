@@ -1,4 +1,4 @@
-"""What every depth camera offers: images prepared exactly as in training."""
+"""Interface of depth cameras, whose images are prepared exactly as in training."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
@@ -11,23 +11,23 @@ from renet.deploy.robots.driver import RobotDriver
 
 @dataclass(frozen=True)
 class DepthFrame:
-    """One image. Drivers report what they got: the controller checks it."""
+    """One depth image as a driver received it; the controller checks it."""
 
     image: np.ndarray
-    """[48, 64] planar depth divided by the range, in [0, 1], top row first, holes filled."""
+    """[48, 64] planar depth divided by the camera's range, 0 to 1, top row first, holes filled."""
     number: int
-    """The sensor's own count of frames."""
+    """Number of the frame by the sensor's own count."""
     time: float
-    """Seconds on the robot's clock at which it was taken."""
+    """Time at which it was taken, s on the robot's clock."""
     invalid: float = 0.0
-    """Share of pixels without a measurement, before holes were filled."""
+    """Share of pixels without a measurement before holes were filled, 0 to 1."""
 
 
 class Camera(Protocol):
-    """A depth camera that never makes its caller wait."""
+    """Depth camera whose methods return without waiting for an image."""
 
     busy: bool = False
-    """Whether the robot may not be disturbed: it is not braked."""
+    """True while the robot is not braked, and must not be delayed by the camera."""
 
     def start(self) -> None:
         """Begin to stream; raises RenetError with what to do when that fails."""
@@ -41,18 +41,21 @@ class Camera(Protocol):
 
 @dataclass(frozen=True)
 class CameraCfg:
-    """A camera that `renet deploy --camera NAME` looks through; its fields are options."""
+    """Options of a camera of `renet deploy --camera NAME`, one a field."""
 
     simulated: ClassVar[bool] = False
-    """Whether it looks at a simulation: a real robot has none."""
+    """True for a camera in a simulation, which a real robot cannot use."""
 
     def check(self) -> None:
-        """Raise RenetError for options that cannot work."""
+        """Check the options; raises RenetError for those that cannot work."""
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera | None:
-        """Make a camera of the bundle's images without starting it; None is no camera at all.
+        """Create the camera without starting it; None stands for a run without a camera.
 
-        The robot's clock times its frames; `seed` is that of a simulated camera's noise.
+        Args:
+            camera: format of the images that the bundle's policy needs.
+            robot: whose clock times the frames.
+            seed: of a simulated camera's noise.
 
         Raises:
             RenetError: a package or file is missing, or the camera cannot give such images.

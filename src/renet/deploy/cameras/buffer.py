@@ -1,7 +1,7 @@
-"""Keeps the newest good image of a camera.
+"""Buffer of the newest good image of a camera.
 
-A frame that is malformed, no newer than the last, or an earlier image again is as good as none: the
-image before it stays and grows old, and the selector leaves vision.
+A frame that is malformed, not newer than the last, or a repetition of an earlier image is dropped:
+the image before it stays and grows old, until the selector leaves vision.
 """
 
 import math
@@ -15,10 +15,10 @@ from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 from renet.pilot.images import OLDEST, Images
 
-REMEMBERED = 32
-"""Images that may not come again, one second of a camera with 30 a second."""
-FUTURE = 0.05
-"""Seconds by which a frame's time may run ahead of the robot's clock."""
+_HISTORY = 32
+"""Earlier images that must not come again: one second of a camera at 30 Hz."""
+_MAX_AHEAD = 0.05
+"""Time, s, by which a frame's time may lie ahead of the robot's clock."""
 
 
 class FrameBuffer:
@@ -26,20 +26,22 @@ class FrameBuffer:
 
     def __init__(self) -> None:
         self.image: np.ndarray | None = None
-        """[48, 64] float32, rounded as in training; None before the first good frame."""
+        """[48, 64] float32, rounded to half precision as in training; None before the first."""
         self.invalid = 0.0
-        """Share of its pixels without a measurement."""
+        """Share of the image's pixels without a measurement, 0 to 1."""
         self.problem = ""
-        """What was wrong with the last frame offered; empty if nothing was."""
-        self._earlier: deque[int] = deque(maxlen=REMEMBERED)
+        """Reason why the last frame was dropped; empty if it was not."""
+        self._earlier: deque[int] = deque(maxlen=_HISTORY)
         """Checksums of the images before the newest."""
         self._checksum = 0
+        """Checksum of the newest image."""
         self._frame: DepthFrame | None = None
         self._time = -math.inf
         self._fresh = False
+        """True until the newest image was taken."""
 
     def offer(self, frame: DepthFrame | None, now: float) -> None:
-        """Look at what the camera has; called at every control tick."""
+        """Check the camera's newest frame at `now`, s; called at every control tick."""
         self.problem = ""
         if frame is None or frame is self._frame:
             return
@@ -48,25 +50,29 @@ class FrameBuffer:
         except RenetError as error:
             self.problem = str(error)
             return
+        # The same frame again, or one that arrived out of order.
         if time <= self._time:
-            return  # The same frame again, or one that arrived out of order.
+            return
         checksum = zlib.crc32(image.tobytes())
-        # The same image twice in a row is for a monitor to judge, as is one without contrast.
+        # Equal images in a row, and those without contrast, are left to the monitors.
         if checksum in self._earlier and checksum != self._checksum and np.ptp(image) > 0.0:
             self.problem = "an earlier depth image came again"
             return
         if checksum != self._checksum:
             self._earlier.append(self._checksum)
             self._checksum = checksum
-        self.image, self._frame, self._time, self._fresh = image, frame, time, True
+        self.image = image
+        self._frame = frame
+        self._time = time
+        self._fresh = True
         self.invalid = float(frame.invalid)
 
     def age(self, now: float) -> float:
-        """Seconds since the image was taken, or until then after a clock's jump back."""
+        """Age of the image at `now`, s, at most `OLDEST`; positive even after a jump back."""
         return min(abs(now - self._time), OLDEST)
 
     def take(self, now: float) -> Images:
-        """The newest image for a pilot of one robot; it is fresh once."""
+        """Newest image for a pilot of one robot, marked as fresh the first time only."""
         fresh = self._fresh
         self._fresh = False
         return Images(
@@ -79,15 +85,18 @@ class FrameBuffer:
 
 
 def clean_frame(frame: DepthFrame, now: float) -> tuple[np.ndarray, float]:
-    """Image [48, 64] float32 and time of a frame; raises RenetError naming what is wrong.
+    """Image [48, 64] float32 and time, s, of a frame; raises RenetError naming what is wrong.
 
-    Images are rounded to half precision, in which training saw them.
+    Images are rounded to half precision, as in training.
     """
     try:
         with np.errstate(over="ignore"):
             image = np.asarray(frame.image, np.float16).astype(np.float32)
-        time, invalid, _ = float(frame.time), float(frame.invalid), int(frame.number)
-    except Exception as error:  # A driver's object may fail in any way.
+        time = float(frame.time)
+        invalid = float(frame.invalid)
+        int(frame.number)
+    except Exception as error:
+        # A driver's object may fail in any way.
         raise RenetError("the depth frame is none, or not made of numbers") from error
     if image.shape != DEPTH_SHAPE:
         raise RenetError(f"the depth image has shape {image.shape}, expected {DEPTH_SHAPE}")
@@ -97,6 +106,6 @@ def clean_frame(frame: DepthFrame, now: float) -> tuple[np.ndarray, float]:
         raise RenetError("the depth image leaves [0, 1]")
     if not (math.isfinite(time) and 0.0 <= invalid <= 1.0):
         raise RenetError("the depth frame's time or invalid share cannot be right")
-    if time > now + FUTURE:
+    if time > now + _MAX_AHEAD:
         raise RenetError("the depth frame's time lies in the future")
     return image, time

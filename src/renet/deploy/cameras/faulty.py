@@ -1,4 +1,4 @@
-"""Any camera with something wrong with it: fault models between the camera and the controller."""
+"""Camera with injected faults: fault models between any camera and the controller."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,27 +11,38 @@ from renet.interface import CONTROL_DT, TICK_DT
 class FaultyCamera(Camera):
     """Passes a camera's frames, at most ten a second, through a fault injector.
 
-    Faults spoil images, hold them back or leave holes; those of the scene (foam, glass, a mount
-    that is knocked or gives way) need a simulated camera. Onsets count from the first look.
+    Faults of the image spoil it, delay it or leave holes. Faults of the scene (foam, glass, a mount
+    that is knocked or gives way) need a simulated camera. Onsets count from the first call of
+    `latest`.
     """
 
     def __init__(
         self, camera: Camera, faults: Sequence[Injection], now: Callable[[], float], seed: int
     ) -> None:
-        """Wrap a camera; raises RenetError for a fault that it or its scene cannot have.
+        """Wrap a camera.
 
-        The faults act one after the other on the same frames; `now` is the robot's clock, s.
+        Args:
+            camera: whose frames are spoilt.
+            faults: act on the same frames, one after the other.
+            now: returns the time on the robot's clock, s.
+            seed: of the faults' randomness.
+
+        Raises:
+            RenetError: a fault that this camera or its scene cannot have.
         """
-        self._camera, self._now = camera, now
+        self._camera = camera
+        self._now = now
         self._perturb = getattr(camera, "perturb", None)
-        """The method by which a simulated camera shows a wrong scene; None: it has none."""
+        """Method by which a simulated camera shows a changed scene; None for a real one."""
         self._injector = Injector([tuple(faults)], [0], seed, self._perturb is not None)
         if self._perturb is not None:
-            for fault in faults:  # Refused now rather than while walking.
+            # A fault that the scene cannot have is refused now rather than while walking.
+            for fault in faults:
                 self._perturb(self._injector.perturbation(fault.onset))
             self._perturb(ViewPerturbation.none(1))
         self._begun: float | None = None
         self._due = float("-inf")
+        """Time from which the next frame is passed on, s."""
         self._shown: DepthFrame | None = None
 
     def start(self) -> None:
@@ -46,12 +57,13 @@ class FaultyCamera(Camera):
             self._perturb(self._injector.perturbation(self._step(now)))
         self._camera.busy = self.busy
         frame = self._camera.latest()
-        # Fault models know frames at 10 Hz; a faster camera is thinned out.
+        # Fault models are made for frames at 10 Hz: those of a faster camera are thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:
             return self._shown
         self._due = max(self._due + TICK_DT, frame.time)
         healthy = Frames.healthy(frame.image[None])
         spoilt = self._injector.apply(healthy, self._step(frame.time))
+        # A fault that holds frames back leaves the one before.
         if spoilt.fresh[0]:
             self._shown = replace(
                 frame,
@@ -63,7 +75,7 @@ class FaultyCamera(Camera):
 
     @property
     def problem(self) -> str:
-        """What the camera itself complains of."""
+        """Problem that the wrapped camera reports; empty if there is none."""
         return getattr(self._camera, "problem", "")
 
     def close(self) -> None:
@@ -71,5 +83,5 @@ class FaultyCamera(Camera):
         self._camera.close()
 
     def _step(self, time: float) -> int:
-        """Control steps since the first look."""
+        """Control steps from the first call of `latest` to a time, s."""
         return max(round((time - (self._begun or 0.0)) / CONTROL_DT), 0)

@@ -1,7 +1,7 @@
-"""From a real depth image to the one a policy was trained on: crop, resize, clip, normalise.
+"""Preparation of real depth images as in training: crop, resize, clip, normalise.
 
 Training casts one ray through the centre of each pixel of a cropped, resized image. A real image is
-therefore sampled where those rays meet it, whatever its own size and lens.
+therefore sampled at the pixels that these rays meet, whatever its own size and lens.
 """
 
 import numpy as np
@@ -12,13 +12,20 @@ from renet.errors import RenetError
 
 
 class DepthPreprocessor:
-    """Picks a policy's pixels from one camera's images."""
+    """Samples a policy's pixels from the images of one camera."""
 
     def __init__(self, lens: Intrinsics, spec: CameraSpec) -> None:
-        """Find the pixels in images without distortion; raises RenetError for too narrow a view.
+        """Find the pixels to sample.
 
-        Both focal lengths of the lens are negative where the camera is mounted upside down.
+        Args:
+            lens: of the camera, without distortion. Both focal lengths are negative for a camera
+                that is mounted upside down.
+            spec: format of the policy's images.
+
+        Raises:
+            RenetError: the camera's view is too narrow for the policy.
         """
+        # Directions of the policy's rays, then the pixels in which they meet the camera's image.
         left, up = spec.intrinsics.axes()
         self._columns = np.rint(lens.cx - 0.5 - lens.fx * left).astype(int)
         self._rows = np.rint(lens.cy - 0.5 - lens.fy * up).astype(int)
@@ -32,13 +39,13 @@ class DepthPreprocessor:
                     f"{index.min()} to {index.max()} of {size}; choose another resolution"
                 )
         self.size = (lens.height, lens.width)
-        """Rows, columns of the images it takes."""
+        """Rows and columns of the camera's images."""
         self._range = spec.range
 
     def invalid(self, image: np.ndarray) -> float:
-        """Share of pixels of the policy's view, full resolution, that the camera gives as 0.
+        """Share of pixels without a measurement in the policy's view, at the camera's resolution.
 
-        Those it could not measure. Raises RenetError for an image of another size.
+        They have the value 0. Raises RenetError for an image of another size.
         """
         self._check(image)
         rows = slice(self._rows.min(), self._rows.max() + 1)
@@ -46,10 +53,11 @@ class DepthPreprocessor:
         return float((image[rows, columns] == 0).mean())
 
     def image(self, depth: np.ndarray) -> np.ndarray:
-        """Metres [rows, columns], 0 where nothing was measured, to [48, 64] in [0, 1].
+        """Policy's image [48, 64] in [0, 1] of a depth image [rows, columns] in metres.
 
-        Holes are filled; an image without any measurement becomes 1, as rays that hit nothing do
-        before noise. Raises RenetError for an image of another size.
+        Pixels of 0 are holes, and are filled. An image of holes alone becomes 1 everywhere, as it
+        does in training where no ray hits anything, before noise. Raises RenetError for an image of
+        another size.
         """
         self._check(depth)
         picked = fill_holes(depth[np.ix_(self._rows, self._columns)])
@@ -64,16 +72,20 @@ class DepthPreprocessor:
 
 
 def fill_holes(depth: np.ndarray) -> np.ndarray:
-    """An image [rows, columns] in which pixels of 0, holes, have the value of the nearest around.
+    """Copy of a depth image [rows, columns] in which holes, pixels of 0, are filled.
 
-    Holes are filled from their rims inwards, with the smallest depth of the eight pixels around, so
-    that an obstacle too close to be measured stays close (librealsense's mode 2, which published
-    Go1 parkour policies use). Nothing changes in an image without any measurement.
+    They are filled from their rims inwards with the smallest depth of the eight pixels around, so
+    that an obstacle too close to be measured stays close (mode 2 of librealsense, which published
+    Go1 parkour policies use). An image without any measurement stays as it is.
     """
     filled = np.where(depth > 0.0, depth, np.inf)
     rows, columns = filled.shape
     while np.isinf(filled).any() and np.isfinite(filled).any():
         framed = np.pad(filled, 1, constant_values=np.inf)
-        around = [framed[r : r + rows, c : c + columns] for r in range(3) for c in range(3)]
+        # The image shifted by one pixel into each direction.
+        around = []
+        for down in range(3):
+            for right in range(3):
+                around.append(framed[down : down + rows, right : right + columns])
         filled = np.where(np.isinf(filled), np.minimum.reduce(around), filled)
     return np.where(np.isinf(filled), 0.0, filled)

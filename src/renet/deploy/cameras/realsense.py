@@ -15,20 +15,23 @@ from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.errors import RenetError, install
 
-WIDTH, HEIGHT, FPS = 848, 480, 30
-"""The resolution at which the vendor says the D435 family measures best."""
-SILENCE = 1.0
-"""Seconds without a frame after which the camera is opened anew: it may have been replugged."""
-RETRY = 0.5
-"""Seconds between two attempts to open it."""
-DRIFT = 1e-3
-"""Seconds a second by which the clocks of camera and robot may drift apart; quartz does 1e-4."""
-RESTART = 1.0
-"""Seconds by which a camera's clock must jump back to have started anew."""
+_WIDTH = 848
+_HEIGHT = 480
+"""Pixels of the depth image: those at which, by its vendor, the D435 family measures best."""
+_FPS = 30
+"""Frames a second."""
+FRAME_TIMEOUT = 1.0
+"""Time without a frame, s, after which the camera is opened anew: it may have been replugged."""
+RETRY_INTERVAL = 0.5
+"""Time between two attempts to open the camera, s."""
+_MAX_DRIFT = 1e-3
+"""Drift between the clocks of camera and robot that is followed, s/s; quartz has up to 1e-4."""
+_CLOCK_RESET = 1.0
+"""Jump back of the camera's clock, s, that tells that the camera started anew."""
 
 
 def realsense() -> Any:
-    """The vendor's module; raises RenetError with what to install."""
+    """Module of librealsense; raises RenetError that says what to install."""
     try:
         import pyrealsense2
     except ImportError as error:
@@ -40,9 +43,9 @@ def realsense() -> Any:
 
 
 def _filters(rs: Any) -> tuple[Any, ...]:
-    """librealsense's own post-processing in the order its vendor recommends.
+    """Filters of librealsense in the order that its vendor recommends.
 
-    Holes are filled by `preprocess.fill_holes`, as calibration from images fills them.
+    Holes are left to `preprocess.fill_holes`, which fills them in calibration from images, too.
     """
     temporal = rs.temporal_filter()
     # Its persistence would refill holes from old frames: a partly frozen image.
@@ -57,28 +60,37 @@ def _filters(rs: Any) -> tuple[Any, ...]:
 
 
 class ClockOffset:
-    """Turns the camera's timestamps into times on the robot's clock.
+    """Converts the camera's timestamps into times on the robot's clock.
 
-    The frame that travelled fastest fixes the offset of both clocks, so that a frame held up on
-    the way is as old as it is. The clocks may drift apart by `DRIFT`; a delay grows faster, or
-    suddenly, and stays visible for as long as the stream lasts.
+    The frame that travelled fastest fixes the offset between both clocks, so that a frame that was
+    delayed on its way shows its true age. The offset follows a drift of up to `_MAX_DRIFT`. Delays
+    grow faster than that, or suddenly, and therefore stay visible as long as the stream lasts.
     """
 
     def __init__(self) -> None:
-        self._offset, self._arrival = np.inf, -np.inf
+        self._offset = np.inf
+        """Smallest difference between arrival and timestamp, s, with the drift allowed for."""
+        self._arrival = -np.inf
+        """Time at which the last frame arrived, s on the robot's clock."""
 
     def time(self, stamp: float, arrival: float) -> float:
-        """Seconds on the robot's clock of a frame stamped by the camera in seconds."""
+        """Time of a frame on the robot's clock, s.
+
+        Args:
+            stamp: the camera's timestamp, s.
+            arrival: time at which the frame arrived, s on the robot's clock.
+        """
         passed = max(arrival - self._arrival, 0.0) if np.isfinite(self._arrival) else 0.0
-        self._offset = min(self._offset + DRIFT * passed, arrival - stamp)
+        self._offset = min(self._offset + _MAX_DRIFT * passed, arrival - stamp)
         self._arrival = arrival
         return min(arrival, stamp + self._offset)
 
 
 class RealSenseCamera(Camera):
-    """A depth camera on a thread of its own.
+    """RealSense camera that is read on a thread of its own.
 
-    It opens the camera anew when frames stop, unless `busy`: librealsense stalls all threads.
+    When frames stop, the thread opens the camera anew, unless `busy`: meanwhile librealsense stalls
+    all threads.
     """
 
     def __init__(
@@ -89,19 +101,28 @@ class RealSenseCamera(Camera):
         serial: str = "",
         upside_down: bool = False,
     ) -> None:
-        """Set up without touching the camera; `clock` gives seconds on the robot's clock.
+        """Set up without opening the camera.
 
-        `device` is an open librealsense device, such as a software device; by default the camera
-        of this serial number, or the only one. `upside_down`: turned by 180 degrees in its mount.
+        Args:
+            spec: format of the policy's images.
+            clock: returns the time on the robot's clock, s.
+            device: an open librealsense device, such as a software device; by default a camera
+                that is connected.
+            serial: number of the camera to open; empty for the only one.
+            upside_down: True if the camera is turned by 180 degrees in its mount.
         """
-        self._spec, self._clock, self._device, self._serial = spec, clock, device, serial
+        self._spec = spec
+        self._clock = clock
+        self._device = device
+        self._serial = serial
+        # Negative focal lengths read both axes of the image backwards.
         self._turn = -1 if upside_down else 1
         self._rs = realsense()
         self._latest: DepthFrame | None = None
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self.problem = ""
-        """What went wrong last; empty while frames arrive."""
+        """Last problem of the camera; empty while frames arrive."""
 
     def start(self) -> None:
         """Begin to stream; raises RenetError with what to do when that fails."""
@@ -120,16 +141,19 @@ class RealSenseCamera(Camera):
         atexit.unregister(self.close)
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(timeout=2 * SILENCE)
+            self._thread.join(timeout=2 * FRAME_TIMEOUT)
 
     def _open(self) -> tuple[Any, Any]:
-        """Start the depth sensor; returns it and the queue its frames arrive in."""
-        sensor, queue = None, self._rs.frame_queue(1)
+        """Start the depth sensor; returns it and the queue in which its frames arrive."""
+        sensor = None
+        queue = self._rs.frame_queue(1)
         try:
             sensor = (self._device or self._find()).first_depth_sensor()
             profile = self._profile(sensor)
-            self._preprocessor(profile)  # Refuses too narrow a view at once.
-            if sensor.supports(self._rs.option.global_time_enabled):  # It follows the wall clock.
+            # Raises at once if the view is too narrow.
+            self._preprocessor(profile)
+            # The global time follows the computer's wall clock, which may be set while walking.
+            if sensor.supports(self._rs.option.global_time_enabled):
                 sensor.set_option(self._rs.option.global_time_enabled, 0)
             sensor.open(profile)
             sensor.start(queue)
@@ -140,9 +164,13 @@ class RealSenseCamera(Camera):
         return sensor, queue
 
     def _find(self) -> Any:
+        """The device of the chosen serial number; raises RenetError unless there is exactly one."""
         devices = list(self._rs.context().query_devices())
         serials = [device.get_info(self._rs.camera_info.serial_number) for device in devices]
-        matches = [d for d, s in zip(devices, serials, strict=True) if self._serial in ("", s)]
+        matches = []
+        for device, serial in zip(devices, serials, strict=True):
+            if self._serial in ("", serial):
+                matches.append(device)
         if len(matches) == 1:
             return matches[0]
         seen = f"{', '.join(serials)} connected" if serials else "none is connected"
@@ -152,27 +180,32 @@ class RealSenseCamera(Camera):
         raise RenetError(f"no {camera}: {seen}; check its USB 3 cable")
 
     def _profile(self, sensor: Any) -> Any:
-        """The stream to open; raises RenetError if the sensor does not offer it."""
-        profiles = [p.as_video_stream_profile() for p in sensor.get_stream_profiles()]
-        profiles = [p for p in profiles if p and p.format() == self._rs.format.z16]
+        """Profile of the stream to open; raises RenetError if the sensor does not offer it."""
+        profiles = []
+        for stream in sensor.get_stream_profiles():
+            profile = stream.as_video_stream_profile()
+            if profile and profile.format() == self._rs.format.z16:
+                profiles.append(profile)
         for profile in profiles:
-            if (profile.width(), profile.height(), profile.fps()) == (WIDTH, HEIGHT, FPS):
+            if (profile.width(), profile.height(), profile.fps()) == (_WIDTH, _HEIGHT, _FPS):
                 return profile
         offered = ", ".join(f"{p.width()}x{p.height()}@{p.fps()}" for p in profiles) or "none"
         raise RenetError(
-            f"the RealSense camera has no depth of {WIDTH}x{HEIGHT} at {FPS} Hz (it offers "
+            f"the RealSense camera has no depth of {_WIDTH}x{_HEIGHT} at {_FPS} Hz (it offers "
             f"{offered}): connect it by USB 3"
         )
 
     def _run(self, stream: tuple[Any, Any] | None) -> None:
+        """Read frames, and open the camera anew whenever they stop; the thread's function."""
         while stream is not None:
             try:
                 self._stream(stream[1])
-            except Exception as error:  # The robot walks on without its camera.
+            except Exception as error:
+                # The robot walks on without its camera.
                 self.problem = f"{type(error).__name__}: {error}"
             _shut(stream[0])
             stream = None
-            while stream is None and not self._stop.wait(RETRY):
+            while stream is None and not self._stop.wait(RETRY_INTERVAL):
                 try:
                     stream = None if self.busy else self._open()
                 except Exception as error:
@@ -180,19 +213,24 @@ class RealSenseCamera(Camera):
 
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""
-        chain, offset, last = _filters(self._rs), ClockOffset(), -np.inf
+        chain = _filters(self._rs)
+        offset = ClockOffset()
+        last = -np.inf
         while not self._stop.is_set():
-            arrived, frame = queue.try_wait_for_frame(round(1000 * SILENCE))
+            arrived, frame = queue.try_wait_for_frame(round(1000 * FRAME_TIMEOUT))
             if not arrived:
-                self.problem = f"no frame for {SILENCE:g} s"
+                self.problem = f"no frame for {FRAME_TIMEOUT:g} s"
                 return
+            # Read at once: preparing the image takes time.
             now = self._clock()
             raw = frame.as_depth_frame()
             stamp = raw.get_timestamp() / 1000.0
-            if stamp < last - RESTART:
+            # The camera's clock started anew: so must its offset.
+            if stamp < last - _CLOCK_RESET:
                 offset = ClockOffset()
             last = stamp
             filtered = reduce(lambda image, step: step.process(image), chain, raw).as_depth_frame()
+            # Depth is taken from the filtered image, holes are counted in the raw one.
             metres = np.asanyarray(filtered.get_data()) * filtered.get_units()
             pixels = np.asanyarray(raw.get_data())
             self._latest = DepthFrame(
@@ -204,16 +242,17 @@ class RealSenseCamera(Camera):
             self.problem = ""
 
     def _preprocessor(self, profile: Any) -> DepthPreprocessor:
-        """For a stream's images; the vendor's pixel (0, 0) has its centre at (0, 0)."""
+        """Preprocessor of the images of a stream."""
         lens = profile.as_video_stream_profile().get_intrinsics()
-        middle = lens.ppx + 0.5, lens.ppy + 0.5
-        focal = self._turn * lens.fx, self._turn * lens.fy
+        # librealsense puts the origin at the centre of the first pixel, renet at its corner.
+        middle = (lens.ppx + 0.5, lens.ppy + 0.5)
+        focal = (self._turn * lens.fx, self._turn * lens.fy)
         intrinsics = Intrinsics(lens.height, lens.width, *focal, *middle)
         return DepthPreprocessor(intrinsics, self._spec)
 
 
 def _shut(sensor: Any) -> None:
-    """Stop and close, each of which fails if the camera is gone."""
+    """Stop and close a sensor; either call fails if the camera is gone."""
     for end in (sensor.stop, sensor.close):
         with suppress(RuntimeError):
             end()

@@ -1,4 +1,4 @@
-"""Recordings of runs: written, read, replayed, scored, and learned from."""
+"""Recordings of runs: writing, reading, replay, scores, and calibration from them."""
 
 from renet.deploy.recording.reader import read_recording
 

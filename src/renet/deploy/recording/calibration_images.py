@@ -1,4 +1,4 @@
-"""The image monitors' scores of somebody's depth images, for `renet calibrate --images`."""
+"""Scores of the image monitors in a folder of depth images, for `renet calibrate --images`."""
 
 import math
 import warnings
@@ -15,26 +15,28 @@ from renet.files import MEGABYTE, require_regular
 from renet.interface import TICK_DT
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
-OF_IMAGES = tuple(n for n, m in MONITORS.items() if m.of_image and n != "frame_age")
-"""Monitors that judge images alone; files do not tell when their images were taken."""
-MAX_IMAGE = 16 * MEGABYTE
-"""Bytes of a file."""
-PLAUSIBLE = 0.1, 20.0
-"""Median depth of a walking robot's images, m; beyond it the scale is wrong."""
-WIDTH = math.radians(87.0)
-"""Horizontal angle of view of a camera whose lens is not given: a RealSense D435's."""
+_IMAGE_MONITORS = [name for name, monitor in MONITORS.items() if monitor.of_image]
+OF_IMAGES = tuple(name for name in _IMAGE_MONITORS if name != "frame_age")
+"""Monitors that judge images alone; files do not tell their images' ages."""
+_MAX_BYTES = 16 * MEGABYTE
+"""Largest size of an image file, bytes."""
+_MEDIAN_RANGE = (0.1, 20.0)
+"""Range of the median depth of a walking robot's images, m; beyond it the scale is wrong."""
+_VIEW_ANGLE = math.radians(87.0)
+"""Horizontal angle of view, rad, if no lens is given: that of a RealSense D435."""
 
 
 def image_scores(
     folder: Path, scale: float, lens: tuple[float, float, float, float] | None, bundle: Bundle
 ) -> dict[str, list[np.ndarray]]:
-    """The scores of each image but the first two, [T], by monitor name, as one walk.
+    """Scores of each image but the first two, [T] by the monitor's name, as of one walk.
 
     Args:
-        folder: of PNG files of one channel, one taken every 0.1 s, in the order of their names.
+        folder: of PNG files of one channel, taken every 0.1 s, in the order of their names.
         scale: metres of one step of their values; 0 stands for no measurement.
         lens: focal lengths and principal point fx, fy, cx, cy, pixels; by default those of a
             camera that sees 87 degrees horizontally, without distortion.
+        bundle: whose vision model and camera are used.
 
     Raises:
         RenetError: too few images, one that is none, sizes that differ, a lens that sees too
@@ -47,19 +49,23 @@ def image_scores(
             f"{folder} holds {len(paths)} PNG images; calibration needs at least {least}"
             f" ({MIN_MINUTES:g} minutes, one image every {TICK_DT:g} s)"
         )
-    vision, scorer = bundle.sessions["vision"], Scorer(1)
+    vision = bundle.sessions["vision"]
+    scorer = Scorer(1)
+    # Policies without a variance have the other score alone.
     outputs = {output.name for output in vision.get_outputs()}
     names = [name for name in ("anomaly_score", "variance_score") if name in outputs]
-    preprocessor, newest, rows, medians = None, np.zeros(0), [], []
+    preprocessor: DepthPreprocessor | None = None
+    newest = np.zeros(0)
+    rows = []
+    medians = []
     for path in paths:
         pixels = read_image(path)
         if preprocessor is None:
-            height, width = pixels.shape
-            focal = width / 2 / math.tan(WIDTH / 2)
-            intrinsics = lens or (focal, focal, width / 2, height / 2)
-            camera = Intrinsics(height, width, *intrinsics)
+            camera = _intrinsics(pixels.shape, lens)
             preprocessor = DepthPreprocessor(camera, bundle.manifest.camera)
-        older, newest = newest, preprocessor.image(pixels * scale)[None]
+        older = newest
+        newest = preprocessor.image(pixels * scale)[None]
+        # Vision judges pairs, the newest image first; the first image has no other.
         pair = np.stack((newest, older if older.size else newest), axis=1)
         scores = dict(zip(names, vision.run(names, {"depth": pair}), strict=True))
         seen = SelectorInput(
@@ -71,21 +77,35 @@ def image_scores(
         )
         rows.append(scorer.scores(seen, OF_IMAGES)[:, 0])
         medians.append(np.median(pixels[pixels > 0]) * scale if pixels.any() else np.nan)
+    # Metres and millimetres are easily mistaken for each other.
     median = float(np.nanmedian(medians)) if np.isfinite(medians).any() else 0.0
-    if not PLAUSIBLE[0] <= median <= PLAUSIBLE[1]:
+    if not _MEDIAN_RANGE[0] <= median <= _MEDIAN_RANGE[1]:
         raise RenetError(
             f"the images' median depth is {median:g} m: give --scale, the metres of one step of"
             " their values (0.001 for millimetres)"
         )
-    return {name: [column] for name, column in zip(OF_IMAGES, np.array(rows[2:]).T, strict=True)}
+    columns = np.array(rows[2:]).T
+    return {name: [column] for name, column in zip(OF_IMAGES, columns, strict=True)}
+
+
+def _intrinsics(
+    shape: tuple[int, ...], lens: tuple[float, float, float, float] | None
+) -> Intrinsics:
+    """Camera of images of a shape (rows, columns) with a lens fx, fy, cx, cy, or the default."""
+    height, width = shape
+    if lens is None:
+        focal = width / 2 / math.tan(_VIEW_ANGLE / 2)
+        lens = (focal, focal, width / 2, height / 2)
+    return Intrinsics(height, width, *lens)
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Values [rows, columns] of an image file of one channel; raises RenetError otherwise."""
+    """Values [rows, columns] of a PNG file of one channel; raises RenetError for any other."""
     from PIL import Image
 
-    require_regular(path, MAX_IMAGE, "image")
+    require_regular(path, _MAX_BYTES, "image")
     try:
+        # Of images with very many pixels Pillow only warns.
         with warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning):
             pixels = np.asarray(Image.open(path, formats=["PNG"]))
     except (OSError, SyntaxError, Warning) as error:

@@ -1,4 +1,4 @@
-"""The monitors' scores in recorded runs with a healthy camera, for `renet calibrate --log`."""
+"""Scores of the monitors in recorded runs with a healthy camera, for `renet calibrate --log`."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,22 +14,22 @@ from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
-AWAY = 1.0
-"""Seconds without a new image after which the camera was unplugged, not late."""
+_MAX_IMAGE_AGE = 1.0
+"""Age of an image, s, from which the camera was unplugged rather than late."""
 MIN_MINUTES = 5.0
-"""Walking time from which thresholds are learnt."""
-HEALTHY_ENDS = ("operator stop", ENDED)
-"""Reasons for damping that say nothing against the walk before."""
-TOPPLING = 45.0
-"""Degrees; an operator may stop a robot that leans so, and once damped a healthy one may fall."""
-WARM_UP = 2 * STEPS_PER_TICK
-"""Control steps after walking began without scores of their own: both images must be new."""
+"""Least walking time for calibration, minutes."""
+_HEALTHY_ENDS = ("operator stop", ENDED)
+"""Reasons for damping at the end of a healthy walk."""
+_MAX_LEAN = 45.0
+"""Lean, degrees, from which a walk is not healthy: its operator may have stopped it for that."""
+SETTLING_STEPS = 2 * STEPS_PER_TICK
+"""Control steps left out at the start of a walk, until both images of a pair are new."""
 
 
 def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.ndarray]]:
-    """Every monitor's highest score in each 0.1 s, [T] for each walk, by monitor name.
+    """Highest score of every monitor in each 0.1 s, [T] for each walk, by the monitor's name.
 
-    Walks that ended in trouble are left out, as failed episodes are in simulation.
+    Walks that a problem ended are left out, as failed episodes are in simulation.
 
     Raises:
         RenetError: a recording that cannot be read, of another policy, or with injected faults;
@@ -40,6 +40,7 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
     for path in logs:
         run = read_recording(path)
         _check(run, path, bundle)
+        # The same walk must not count twice.
         ticks = run.ticks.tobytes()
         if ticks in first:
             raise RenetError(f"{path} holds the same walk as {first[ticks]}: give each log once")
@@ -60,37 +61,53 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
 
 
 def healthy_walks(run: Recording) -> Iterator[range]:
-    """Rows of each stretch of seeing walking that an operator ended, without its start.
+    """Rows of each walk with vision that an operator ended, without its start.
 
-    One in which it leaned far, or whose end the log does not hold, is left out.
+    Walks in which the robot leaned far, or whose end is not in the log, are left out.
     """
     ticks = run.ticks
-    # A tick of vision that came too late ends a stretch; what follows is one of its own.
+    # A vision tick that came too late ends a walk; the steps after it are a walk of their own.
     walking = (ticks["mode"] == MODES.index(Mode.WALKING)) & np.isfinite(ticks["anomaly"])
     walking = np.concatenate([[False], walking, [False]])
+    # First row of each walk, and the row after its last.
     edges = np.flatnonzero(walking[1:] != walking[:-1])
     for start, end in edges.reshape(-1, 2).tolist():
-        after = [e for e in run.events if e.time > ticks["now"][end - 1] and e.what in MODES]
-        first = start + WARM_UP
+        if not _ended_well(run, end) or fallen(ticks, _MAX_LEAN)[start:end].any():
+            continue
+        # Whole ticks of vision, from the first that shows two new images.
+        first = start + SETTLING_STEPS
         last = first + (end - first) // STEPS_PER_TICK * STEPS_PER_TICK
-        healthy = bool(after) and after[0].why in HEALTHY_ENDS
-        healthy &= not fallen(ticks, TOPPLING)[start:end].any()
-        imaged = (ticks["frame"][first:last] == GOOD) & (ticks["frame_age"][first:last] < AWAY)
-        if healthy and last > first and imaged.all() and min(run.images, default=end) <= first:
+        good = ticks["frame"][first:last] == GOOD
+        recent = ticks["frame_age"][first:last] < _MAX_IMAGE_AGE
+        imaged = (good & recent).all() and min(run.images, default=end) <= first
+        if last > first and imaged:
             yield range(first, last)
 
 
+def _ended_well(run: Recording, end: int) -> bool:
+    """True if a walk whose last row is before `end` ended for a healthy reason."""
+    last = run.ticks["now"][end - 1]
+    for event in run.events:
+        if event.time > last and event.what in MODES:
+            return event.why in _HEALTHY_ENDS
+    return False
+
+
 def score_walk(run: Recording, walk: range) -> np.ndarray:
-    """Scores [T, monitors] of a stretch of whole ticks."""
+    """Highest scores [T, monitors] in each 0.1 s of a walk, the rows of whole vision ticks."""
     scorer = Scorer(1)
     newest = run.images[max(row for row in run.images if row <= walk.start)]
-    given, image, scores = None, np.zeros(0), []
+    given: np.ndarray | None = None
+    image = np.zeros(0)
+    scores = []
     for step, row in enumerate(walk):
-        tick, newest = run.ticks[row], run.images.get(row, newest)
+        tick = run.ticks[row]
+        newest = run.images.get(row, newest)
         # As in the run, the monitors see the images that were given to the policy.
         fresh = step % STEPS_PER_TICK == 0 and newest is not given
         if fresh:
-            given, image = newest, newest[None].astype(np.float32)
+            given = newest
+            image = newest[None].astype(np.float32)
         seen = SelectorInput(
             anomaly_score=tick["anomaly"][None],
             variance_score=tick["variance"][None],
@@ -109,6 +126,7 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
 
 
 def _check(run: Recording, path: Path, bundle: Bundle) -> None:
+    """Raise RenetError for a recording that says nothing of this bundle's healthy scores."""
     if run.header.get("models") != bundle.manifest.sha256:
         raise RenetError(f"{path} was made with other models than {bundle.path}'s")
     if run.header.get("fault"):

@@ -1,4 +1,4 @@
-"""Common Data Representation (CDR), in which ROS 2 writes messages: little-endian, plain."""
+"""Common Data Representation (CDR) of ROS 2 messages, in its plain little-endian form."""
 
 import struct
 
@@ -7,7 +7,7 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 
 
 class CdrWriter:
-    """Appends the fields of one message."""
+    """Writes the fields of one message, one after the other."""
 
     def __init__(self) -> None:
         self._payload = bytearray()
@@ -15,6 +15,7 @@ class CdrWriter:
     def number(self, code: str, value: float) -> None:
         """Append a number of a format code of `struct`, aligned to its size."""
         size = struct.calcsize(code)
+        # Padding up to a multiple of the size.
         self._payload += bytes(-len(self._payload) % size)
         self._payload += struct.pack(f"<{code}", value)
 
@@ -28,30 +29,31 @@ class CdrWriter:
         self._payload += value
 
     def message(self) -> bytes:
-        """The whole message."""
+        """Bytes of the whole message."""
         return ENCAPSULATION + bytes(self._payload)
 
 
 class CdrReader:
-    """Reads the fields of one message in their order; raises ValueError where they end early."""
+    """Reads the fields of one message in their order; raises ValueError where it ends early."""
 
     def __init__(self, message: bytes) -> None:
         self._payload = payload_of(message)
         self._place = 0
 
     def number(self, code: str) -> int:
-        """An integer of a format code of `struct`."""
+        """Read an integer of a format code of `struct`."""
         size = struct.calcsize(code)
+        # Padding up to a multiple of the size.
         self._place += -self._place % size
         (value,) = struct.unpack(f"<{code}", self._take(size))
         return value
 
     def text(self) -> str:
-        """A string."""
+        """Read a string."""
         return self.octets().removesuffix(b"\x00").decode()
 
     def octets(self) -> bytes:
-        """A sequence of bytes."""
+        """Read a sequence of bytes."""
         return self._take(self.number("I"))
 
     def _take(self, size: int) -> bytes:
@@ -63,7 +65,7 @@ class CdrReader:
 
 
 def payload_of(message: bytes) -> bytes:
-    """A message without its encapsulation; raises ValueError for another representation."""
+    """Bytes of a message after its encapsulation; raises ValueError for another representation."""
     if message[: len(ENCAPSULATION)] != ENCAPSULATION:
         raise ValueError("a message is not little-endian CDR")
     return message[len(ENCAPSULATION) :]

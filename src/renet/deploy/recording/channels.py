@@ -1,7 +1,7 @@
-"""Channels of a recording: its topics, the types of their messages, and how values become bytes.
+"""Channels of a recording: topics, message types, and the encoding of values.
 
-Messages are ROS 2's (`ros2msg` schemas, CDR), which Foxglove and rerun read without a plug-in and
-which hold NaN and every bit of a number, as JSON would not. Only the header is JSON.
+Messages are those of ROS 2 (`ros2msg` schemas, CDR), which Foxglove and rerun read without a
+plug-in, and which keep NaN and every bit of a number, as JSON would not. Only the header is JSON.
 """
 
 import json
@@ -22,29 +22,31 @@ from renet.interface import DEPTH_SHAPE
 from renet.selector.selector import REMEMBERS, SEES
 
 MAX_CHUNK = 4 * MEGABYTE
-"""Bytes of a chunk that the reader accepts, packed or not."""
+"""Largest chunk that the reader accepts, bytes, compressed or not."""
 CHUNK_SIZE = MEGABYTE
-"""Bytes at which the writer ends a chunk: after the message that passes it, so that a chunk has at
+"""Size, bytes, at which the writer ends a chunk, after the message that exceeds it: a chunk has at
 most `CHUNK_SIZE` and one message, well below `MAX_CHUNK`. A second of a run has 0.2 to 0.7 MB."""
-MAX_MESSAGE = MEGABYTE
-"""Bytes of a message; an image has 12 kB."""
-MAX_TEXT = 2000
-"""Characters of an event's reason; a driver's own errors may be of any length."""
+_MAX_MESSAGE = MEGABYTE
+"""Largest message, bytes; an image has 12 kB."""
+MAX_REASON = 2000
+"""Most characters of an event's reason; a driver's own errors may be of any length."""
 LAST_SECOND = 2**31 - 1
-"""Of the times that ROS 2 can express."""
-PIXELS = "32FC1"
-"""ROS 2's name of images of one float32 a pixel."""
-INFO, WARN = 20, 30
-"""Levels of `rcl_interfaces/msg/Log`."""
-QUIET = ("standing_up", "walking", SEES, REMEMBERS)
-"""Events that are no warning."""
+"""Latest time that ROS 2 can express, s."""
+_PIXEL_FORMAT = "32FC1"
+"""Name in ROS 2 of images with one float32 a pixel."""
+_INFO = 20
+"""Level of normal events in `rcl_interfaces/msg/Log`."""
+_WARN = 30
+"""Level of warnings."""
+_NORMAL_EVENTS = ("standing_up", "walking", SEES, REMEMBERS)
+"""Events that are not recorded as warnings."""
 
-TIME = """================================================================================
+_TIME_TYPE = """================================================================================
 MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-IMAGE_DEFINITION = f"""std_msgs/Header header
+_IMAGE_TYPE = f"""std_msgs/Header header
 uint32 height
 uint32 width
 string encoding
@@ -55,26 +57,26 @@ uint8[] data
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
-{TIME}"""
-LOG_DEFINITION = f"""builtin_interfaces/Time stamp
+{_TIME_TYPE}"""
+_LOG_TYPE = f"""builtin_interfaces/Time stamp
 uint8 level
 string name
 string msg
 string file
 string function
 uint32 line
-{TIME}"""
+{_TIME_TYPE}"""
 
 
 class Topic(StrEnum):
     """Topics of a recording."""
 
     RUN = "/run"
-    """Header: what ran, as JSON without a schema."""
+    """Header: configuration of the run, as JSON without a schema."""
     TICK = "/tick"
-    """Records of `tick.TICK_FIELDS`, one a control tick."""
+    """Records of `tick.TICK_FIELDS`, one for each control tick."""
     DEPTH = "/depth"
-    """Images, each before the tick with which it came."""
+    """Images, each before the tick at which it was new."""
     POWER = "/power"
     """Records of `tick.POWER_FIELDS`, wherever one of their values changed."""
     EVENTS = "/events"
@@ -82,7 +84,7 @@ class Topic(StrEnum):
 
 
 class MessageType(NamedTuple):
-    """Type of a topic's messages in ROS 2."""
+    """ROS 2 type of a topic's messages."""
 
     name: str
     definition: str
@@ -90,24 +92,24 @@ class MessageType(NamedTuple):
 
 MESSAGE_TYPES = {
     Topic.TICK: MessageType("renet_msgs/msg/Tick", tick.definition(tick.TICK_FIELDS)),
-    Topic.DEPTH: MessageType("sensor_msgs/msg/Image", IMAGE_DEFINITION),
+    Topic.DEPTH: MessageType("sensor_msgs/msg/Image", _IMAGE_TYPE),
     Topic.POWER: MessageType("renet_msgs/msg/Power", tick.definition(tick.POWER_FIELDS)),
-    Topic.EVENTS: MessageType("rcl_interfaces/msg/Log", LOG_DEFINITION),
+    Topic.EVENTS: MessageType("rcl_interfaces/msg/Log", _LOG_TYPE),
 }
 
 
 @dataclass(frozen=True)
 class DepthImage:
-    """A depth image as the policy sees it."""
+    """Depth image as the policy sees it."""
 
     time: float
-    """Seconds on the robot's clock at which it was taken."""
+    """Time at which it was taken, s on the robot's clock."""
     image: np.ndarray
     """[48, 64] depth divided by the camera's range, 0 to 1."""
 
 
 def nanoseconds(seconds: float) -> int:
-    """Time in whole nanoseconds, from 0 to the last that ROS 2 can express; 0 for NaN."""
+    """Time in whole nanoseconds, clipped to the range that ROS 2 can express; 0 for NaN."""
     if math.isnan(seconds):
         return 0
     return round(1e9 * min(max(seconds, 0.0), LAST_SECOND))
@@ -125,21 +127,23 @@ def encode(value: Any) -> bytes:
 
 
 def _encode_image(depth: DepthImage) -> bytes:
+    """Message `sensor_msgs/msg/Image` of a depth image."""
     height, width = DEPTH_SHAPE
     message = CdrWriter()
     _put_time(message, depth.time)
     message.text("camera")
     message.number("I", height)
     message.number("I", width)
-    message.text(PIXELS)
-    message.number("B", 0)  # Little-endian.
+    message.text(_PIXEL_FORMAT)
+    # Little-endian.
+    message.number("B", 0)
     message.number("I", 4 * width)
     message.octets(depth.image.astype("<f4").tobytes())
     return message.message()
 
 
 def decode_image(message: bytes) -> np.ndarray:
-    """Image [48, 64] float16 of a message; raises ValueError for one of another kind or size."""
+    """Image [48, 64] float16 of a message; raises ValueError for another kind or size."""
     fields = CdrReader(message)
     _take_time(fields)
     fields.text()
@@ -149,21 +153,23 @@ def decode_image(message: bytes) -> np.ndarray:
     big_endian = fields.number("B")
     fields.number("I")
     data = fields.octets()
-    if (height, width) != DEPTH_SHAPE or encoding != PIXELS or big_endian:
+    if (height, width) != DEPTH_SHAPE or encoding != _PIXEL_FORMAT or big_endian:
         raise ValueError(f"an image has {width} x {height} pixels {encoding}")
     if len(data) != 4 * height * width:
         raise ValueError(f"an image of {width} x {height} pixels has {len(data)} bytes")
+    # Values beyond half precision become infinite, and are refused by the controller.
     with np.errstate(over="ignore"):
         return np.frombuffer(data, "<f4").reshape(DEPTH_SHAPE).astype(np.float16)
 
 
 def _encode_event(event: Event) -> bytes:
+    """Message `rcl_interfaces/msg/Log` of an event."""
     message = CdrWriter()
     _put_time(message, event.time)
-    message.number("B", INFO if event.what in QUIET else WARN)
+    message.number("B", _INFO if event.what in _NORMAL_EVENTS else _WARN)
     message.text(event.what)
-    message.text(event.why[:MAX_TEXT])
-    # No place in a program.
+    message.text(event.why[:MAX_REASON])
+    # File, function and line of a program, which an event does not have.
     message.text("")
     message.text("")
     message.number("I", 0)
@@ -171,7 +177,7 @@ def _encode_event(event: Event) -> bytes:
 
 
 def decode_event(message: bytes) -> tuple[int, str, str]:
-    """Time of an event in ns, what happened and why; raises ValueError for no event."""
+    """Time in ns, name and reason of an event; raises ValueError for another message."""
     fields = CdrReader(message)
     time = _take_time(fields)
     fields.number("B")
@@ -181,13 +187,14 @@ def decode_event(message: bytes) -> tuple[int, str, str]:
 
 
 def _put_time(message: CdrWriter, seconds: float) -> None:
+    """Append a time, s, as `builtin_interfaces/Time`."""
     whole, rest = divmod(nanoseconds(seconds), 1_000_000_000)
     message.number("i", whole)
     message.number("I", rest)
 
 
 def _take_time(fields: CdrReader) -> int:
-    """Nanoseconds."""
+    """Read a time, ns."""
     whole = fields.number("i")
     return 1_000_000_000 * whole + fields.number("I")
 
@@ -196,7 +203,7 @@ class ChannelWriter:
     """Writes messages into MCAP, in chunks that end at each `flush`."""
 
     def __init__(self, stream: BinaryIO) -> None:
-        """Begin a file; raises OSError where it cannot be written."""
+        """Begin a file; raises OSError if it cannot be written."""
         self._mcap = Writer(
             stream,
             chunk_size=CHUNK_SIZE,
@@ -204,6 +211,7 @@ class ChannelWriter:
             index_types=IndexType.CHUNK | IndexType.MESSAGE,
         )
         self._mcap.start()
+        # The header needs no schema; each other topic has its own.
         run = self._mcap.register_channel(Topic.RUN, MessageEncoding.JSON, 0)
         self._channels: dict[str, int] = {Topic.RUN: run}
         for topic, message_type in MESSAGE_TYPES.items():
@@ -213,24 +221,24 @@ class ChannelWriter:
             self._channels[topic] = channel
 
     def write(self, topic: str, time: float, message: bytes) -> None:
-        """Add a message; it reaches the stream with its chunk, at the latest at `flush`.
+        """Add a message, which reaches the stream with its chunk, at the latest at `flush`.
 
         Args:
-            topic: of the message.
+            topic: name of its topic.
             time: seconds on the robot's clock.
-            message: as `encode` returns it.
+            message: bytes as returned by `encode`.
 
         Raises:
             ValueError: the message is larger than the reader accepts.
             OSError: the stream cannot be written.
         """
-        if len(message) > MAX_MESSAGE:
-            raise ValueError(f"a message of {topic} has more than {MAX_MESSAGE / MEGABYTE:g} MB")
+        if len(message) > _MAX_MESSAGE:
+            raise ValueError(f"a message of {topic} has more than {_MAX_MESSAGE / MEGABYTE:g} MB")
         stamp = nanoseconds(time)
         self._mcap.add_message(self._channels[topic], stamp, message, stamp)
 
     def flush(self) -> None:
-        """Write a chunk of all messages since the last one; raises OSError."""
+        """Write a chunk of the messages since the last one; raises OSError."""
         self._mcap.flush()
 
     def finish(self) -> None:

@@ -1,4 +1,4 @@
-"""How near each monitor of vision came to an objection during a run, from its recording."""
+"""Scores of the monitors of vision over their thresholds, from the recording of a run."""
 
 from collections.abc import Mapping
 
@@ -9,16 +9,18 @@ from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
-SHOWN = 4
-"""Monitors of a timeline, at most."""
+_MAX_MONITORS = 4
+"""Most monitors in a timeline."""
 
 
 def ratios(run: Recording) -> dict[str, np.ndarray]:
-    """Scores over thresholds, [T] by the monitor's name: from 1 on it objects.
+    """Scores over thresholds, [T] by the monitor's name; a monitor objects from 1 on.
 
-    Thresholds are those of the recording's header; an older one has the reconstruction's alone.
+    Thresholds are those of the recording's header; that of an older recording holds only the one of
+    the reconstruction.
     """
-    ticks, header = run.ticks, run.header
+    ticks = run.ticks
+    header = run.header
     thresholds: Mapping[str, float] = header.get("thresholds") or {}
     if not thresholds and header.get("beta"):
         thresholds = {"reconstruction": float(header["beta"])}
@@ -35,15 +37,15 @@ def ratios(run: Recording) -> dict[str, np.ndarray]:
         "disagreement": np.linalg.norm(apart, axis=1),
         "map_error": ticks["map_error"],
     }
-    return {
-        name: _ratio(np.asarray(scores[name], float), threshold)
-        for name, threshold in thresholds.items()
-        if name in scores
-    }
+    found = {}
+    for name, threshold in thresholds.items():
+        if name in scores:
+            found[name] = _ratio(np.asarray(scores[name], float), threshold)
+    return found
 
 
 def objectors(run: Recording) -> dict[str, np.ndarray]:
-    """The `ratios` of the monitors that objected most while the robot walked, the worst first.
+    """`ratios` of the monitors that objected most while the robot walked, the worst first.
 
     Without any objection, those of the monitor that came nearest to one; empty without thresholds.
     """
@@ -51,22 +53,25 @@ def objectors(run: Recording) -> dict[str, np.ndarray]:
     found = ratios(run)
     if not found or not walking.any():
         return {}
-    worst = {name: np.nan_to_num(values[walking], nan=0.0).max() for name, values in found.items()}
+    worst = {}
+    for name, values in found.items():
+        worst[name] = np.nan_to_num(values[walking], nan=0.0).max()
     ranked = sorted(found, key=lambda name: -worst[name])
-    objected = [name for name in ranked if worst[name] >= 1.0][:SHOWN] or ranked[:1]
+    objected = [name for name in ranked if worst[name] >= 1.0]
+    objected = objected[:_MAX_MONITORS] or ranked[:1]
     return {name: found[name] for name in objected}
 
 
 def _ratio(score: np.ndarray, threshold: float) -> np.ndarray:
-    """A score over its threshold; of two negative numbers the other way round."""
+    """Score over its threshold; the inverse for negative ones, so that 1 stays the objection."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return score / threshold if threshold > 0.0 else threshold / score
 
 
 def _of_images(run: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Equal images in a row, the newest image's contrast, and images of a covered lens, [T] each.
+    """Equal images in a row, contrast of the newest, and covered images in a row, [T] each.
 
-    Before the first image there is nothing to object to.
+    Values before the first image are those to which no monitor objects.
     """
     count = len(run.ticks)
     found = np.tile([[0.0], [np.inf], [0.0]], count)
@@ -75,12 +80,12 @@ def _of_images(run: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         image = run.images[row].astype(float)[None]
         fresh = np.ones(1, bool)
         scorer.scores(SelectorInput(np.zeros(1), image=image, fresh=fresh), names=())
-        # Until the next image.
+        # The values hold until the next image.
         found[:, row:] = np.stack([scorer.repeats, scorer.contrast, scorer.near])
     repeats, contrast, near = found
     return repeats, contrast, near
 
 
 def legend_of(name: str) -> str:
-    """A monitor's name with its reason, for a legend."""
+    """Entry of a monitor in a legend: its name and its reason."""
     return f"{name.replace('_', ' ')}: {MONITORS[name].reason}"

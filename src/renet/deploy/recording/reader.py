@@ -1,7 +1,7 @@
-"""Reads a recording back, as far as it is whole: up to a torn end, or one of zeros.
+"""Reader of recordings, which reads each as far as it is whole: up to an end that is torn or zeros.
 
-MCAP's own readers need the index at the end of a file, or trust the lengths that it states. Here
-every length is bounded before memory is given, and every chunk is checked.
+The readers of the MCAP library need the index at the end of a file, or trust the lengths that it
+states. Here every length is bounded before memory is allocated, and every chunk is checked.
 """
 
 import struct
@@ -39,24 +39,26 @@ from renet.files import MEGABYTE, parse_json, require_regular
 MAGIC = MCAP0_MAGIC
 """First bytes of every MCAP file."""
 EARLIER = b"RENETLOG"
-"""First bytes of recordings before they were MCAP; the number of their format follows."""
-EARLIER_WRITERS = {b"4": "renet 0.1", b"5": "a version in development between renet 0.1 and MCAP"}
-"""Versions that write and read these formats."""
+"""First bytes of recordings before they were MCAP files; the number of their format follows."""
+_EARLIER_WRITERS = {b"4": "renet 0.1", b"5": "a version in development between renet 0.1 and MCAP"}
+"""Versions of renet that write and read these formats, by number."""
 RECORD = struct.Struct("<BQ")
-"""Opcode and length of a record of MCAP."""
-MAX_FILE = 4000 * MEGABYTE
-"""Bytes of a recording, packed or not; eight hours unpack to about as many."""
-FREE, MAX_RATIO = 50 * MEGABYTE, 300
-"""Bytes in memory, and more of them for each packed byte. A walk has about 2, a simulated robot
-that lies still with a covered camera up to 140; zeros have thousands."""
-LONGEST = 1e6
-"""Seconds from the first to the last tick."""
+"""Head of an MCAP record: opcode and length."""
+_MAX_BYTES = 4000 * MEGABYTE
+"""Largest recording, bytes, compressed or not; eight hours unpack to about as many."""
+FREE = 50 * MEGABYTE
+"""Bytes that any recording may unpack to."""
+_MAX_RATIO = 300
+"""Bytes that it may unpack to besides, for each compressed byte. A walk has about 2, a simulated
+robot that lies still with a covered camera up to 140; zeros have thousands."""
+_MAX_DURATION = 1e6
+"""Longest time from the first to the last tick, s."""
 Number = Annotated[float, msgspec.Meta(gt=-1e15, lt=1e15)]
-"""A number that a run may have written; NaN is none."""
+"""Number that a run may have written; NaN is refused."""
 
 
 class Header(TypedDict, total=False):
-    """Entries of a header that readers rely on; there are others."""
+    """Entries of a header that readers rely on, among others."""
 
     bundle: str | None
     bundle_sha256: str | None
@@ -72,28 +74,29 @@ class Header(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Recording:
-    """A run that was read back."""
+    """Recorded run."""
 
     header: dict[str, Any]
-    """What ran: bundle, limits, devices, faults."""
+    """Configuration of the run: bundle, limits, devices, faults."""
     ticks: np.ndarray
     """[T] of dtype `TICK_DTYPE`."""
     images: dict[int, np.ndarray]
-    """[48, 64] float16 by the tick at which it was new."""
+    """Images [48, 64] float16, each by the tick at which it was new."""
     events: list[Event]
+    """Transitions, in the order in which they were recorded."""
     complete: bool
-    """False where the end is missing."""
+    """True if the file is whole up to its end."""
     power: np.ndarray = field(default_factory=lambda: np.zeros(0, POWER_DTYPE))
-    """Of dtype `POWER_DTYPE`: temperatures, charge and voltage wherever one changed."""
+    """[N] of dtype `POWER_DTYPE`: temperatures, charge and voltage whenever one changed."""
 
 
 def read_recording(path: Path | str) -> Recording:
     """Read a recording as far as it is whole.
 
     Raises:
-        RenetError: not a recording, one without its header, or one whose values make no sense.
+        RenetError: the file is not a recording, has no header, or holds impossible values.
     """
-    path = require_regular(Path(path), MAX_FILE, "recording")
+    path = require_regular(Path(path), _MAX_BYTES, "recording")
     content = _Content()
     complete = False
     try:
@@ -115,7 +118,7 @@ def _demand_mcap(file: BinaryIO, path: Path) -> None:
     """Read the first bytes; raises RenetError for a file that is not MCAP."""
     magic = file.read(len(MAGIC))
     if magic == EARLIER:
-        writer = EARLIER_WRITERS.get(file.read(1), "an earlier renet")
+        writer = _EARLIER_WRITERS.get(file.read(1), "an earlier renet")
         raise RenetError(f"{path} is a recording of {writer}: only that version reads it")
     if magic != MAGIC:
         raise RenetError(f"{path} is not a recording: those are MCAP files")
@@ -124,14 +127,14 @@ def _demand_mcap(file: BinaryIO, path: Path) -> None:
 def _records(file: BinaryIO) -> Iterator[McapRecord]:
     """Schemas, channels and messages, up to the first record that is torn or damaged.
 
-    The last one is a `DataEnd` where the file is whole up to its index.
+    The last record is a `DataEnd` if the file is whole up to its index.
     """
     packed = 0
     unpacked = 0
     while len(head := file.read(RECORD.size)) == RECORD.size:
         opcode, length = RECORD.unpack(head)
         data = file.read(min(length, MAX_CHUNK))
-        # A power cut leaves zeros.
+        # A power cut leaves zeros, or half a record.
         if opcode == 0 or len(data) < length:
             return
         if opcode == Opcode.DATA_END:
@@ -145,10 +148,10 @@ def _records(file: BinaryIO) -> Iterator[McapRecord]:
             plain = head + data
         else:
             continue
-        # Without the indices between chunks, which do not compress.
+        # Indices between chunks, which do not compress, are not counted.
         packed += len(data)
         unpacked += len(plain)
-        if unpacked > min(FREE + MAX_RATIO * packed, MAX_FILE):
+        if unpacked > min(FREE + _MAX_RATIO * packed, _MAX_BYTES):
             raise ValueError("it unpacks to far more than its size")
         yield from _split(plain)
 
@@ -157,7 +160,7 @@ def _unpack(data: bytes) -> bytes | None:
     """Content of a chunk; None if it is damaged.
 
     Raises:
-        ValueError: it is larger than any chunk of a run, or packed in another way.
+        ValueError: it is larger than any chunk of a run, or compressed in another way.
     """
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(data)))
@@ -167,7 +170,7 @@ def _unpack(data: bytes) -> bytes | None:
             raise ValueError(f"a chunk unpacks to more than {MAX_CHUNK / MEGABYTE:g} MB")
         plain = chunk.data
         if chunk.compression:
-            # A frame may state its own size, for which memory is given at once.
+            # A frame may state its own size, for which memory is allocated at once.
             stated = zstandard.frame_content_size(chunk.data)
             if stated not in (-1, chunk.uncompressed_size):
                 return None
@@ -182,7 +185,7 @@ def _unpack(data: bytes) -> bytes | None:
 
 
 def _split(plain: bytes) -> list[McapRecord]:
-    """Records in the content of a chunk; raises ValueError where they are none."""
+    """Records in the content of a chunk; raises ValueError if there are none."""
     try:
         return breakup_chunk(Chunk("", plain, 0, 0, 0, len(plain)))
     except (McapError, struct.error, OverflowError) as error:
@@ -194,9 +197,9 @@ class _Content:
 
     def __init__(self) -> None:
         self._types: dict[int, str] = {}
-        """Topic whose messages a schema describes, by the schema's number."""
+        """Topics whose messages schemas describe, by the schema's number."""
         self._topics: dict[int, str] = {}
-        """Topic of a channel, by the channel's number."""
+        """Topics of channels, by the channel's number."""
         self._header: dict[str, Any] | None = None
         self._ticks: list[bytes] = []
         self._images: list[np.ndarray] = []
@@ -208,10 +211,9 @@ class _Content:
         if isinstance(record, Schema):
             self._types[record.id] = _topic_of(record)
         elif isinstance(record, Channel):
-            if (
-                record.topic in [*MESSAGE_TYPES]
-                and self._types.get(record.schema_id) != record.topic
-            ):
+            # Topics of other programs may have any type.
+            ours = record.topic in [*MESSAGE_TYPES]
+            if ours and self._types.get(record.schema_id) != record.topic:
                 raise ValueError(f"the messages of {record.topic} are of another type")
             self._topics[record.id] = record.topic
         elif isinstance(record, Message):
@@ -220,7 +222,7 @@ class _Content:
             self._take_message(self._topics[record.channel_id], record.data)
 
     def _take_message(self, topic: str, message: bytes) -> None:
-        """Add a message; those of other programs' topics are left out."""
+        """Add a message; those of unknown topics are left out."""
         if topic == Topic.RUN:
             self._header = _header(parse_json(message, "header"))
         elif topic == Topic.TICK:
@@ -233,18 +235,18 @@ class _Content:
             self._power.append(_record_of(message, POWER_DTYPE))
 
     def recording(self, complete: bool) -> Recording:
-        """The whole run; raises ValueError for what no run can have written."""
+        """Assemble the run; raises ValueError for content that no run can have written."""
         if self._header is None:
             raise ValueError(
                 "it has no readable header: another program wrote it, or nothing was saved"
             )
-        # Of byte arrays, since arrays of bytes cannot be changed.
+        # A view of a byte array can be changed, one of bytes cannot.
         ticks = np.frombuffer(bytearray().join(self._ticks), TICK_DTYPE)
         power = np.frombuffer(bytearray().join(self._power), POWER_DTYPE)
         _check(ticks, len(self._events))
         rows = np.flatnonzero(ticks["new_image"]).tolist()
         if not complete and len(self._images) == len(rows) + 1:
-            # The tear parted the last image from its tick, which comes after it.
+            # The file ends between the last image and its tick, which comes after it.
             self._images.pop()
         if len(rows) != len(self._images):
             raise ValueError(f"it has {len(self._images)} images in {len(rows)} ticks with one")
@@ -254,7 +256,7 @@ class _Content:
 
 
 def _topic_of(schema: Schema) -> str:
-    """Topic whose messages a schema describes; empty for other programs' schemas."""
+    """Topic whose messages a schema describes; empty for unknown schemas."""
     for topic, ours in MESSAGE_TYPES.items():
         if (schema.name, schema.data) == (ours.name, ours.definition.encode()):
             return topic
@@ -270,29 +272,37 @@ def _record_of(message: bytes, layout: np.dtype) -> bytes:
 
 
 def _timed(events: list[tuple[int, str, str]], now: np.ndarray) -> list[Event]:
-    """Events whose times, ns, are exactly those of their ticks [T], s."""
+    """Events with the exact times of their ticks.
+
+    Args:
+        events: times in ns, names and reasons.
+        now: [T] s, times of the ticks.
+    """
     stamps = np.rint(1e9 * np.clip(now, 0.0, LAST_SECOND)).astype(np.int64)
     timed = []
     for time, what, why in events:
         row = int(np.searchsorted(stamps, time))
+        # A replay finds events by the exact time of their tick.
         of_tick = row < len(stamps) and stamps[row] == time
-        timed.append(Event(float(now[row]) if of_tick else 1e-9 * time, what, why))
+        seconds = float(now[row]) if of_tick else 1e-9 * time
+        timed.append(Event(seconds, what, why))
     return timed
 
 
 def _header(value: Any) -> dict[str, Any]:
-    """The header; raises ValueError if what readers rely on is of another type."""
+    """Header; raises ValueError if an entry that readers rely on is of another type."""
     msgspec.convert(value, Header)
     return value
 
 
 def _check(ticks: np.ndarray, events: int) -> None:
     """Raise ValueError for ticks, or a number of events, that no run can have written."""
+    # Scores and replays rely on ascending times and on known codes.
     now = ticks["now"]
     if not np.isfinite(now).all() or (np.diff(now) < 0).any():
         raise ValueError("its times are not finite or run backwards")
-    if len(now) and now[-1] - now[0] > LONGEST:
-        raise ValueError(f"it lasts longer than {LONGEST:g} s")
+    if len(now) and now[-1] - now[0] > _MAX_DURATION:
+        raise ValueError(f"it lasts longer than {_MAX_DURATION:g} s")
     if (ticks["mode"] >= len(MODES)).any():
         raise ValueError(f"mode {ticks['mode'].max()} does not exist")
     if (ticks["state"] > BAD).any() or (ticks["frame"] > BAD).any():

@@ -1,6 +1,6 @@
-"""Records every control tick into an MCAP file, so that a run can be replayed bit by bit.
+"""Recorder of control ticks in an MCAP file, from which a run can be replayed bit by bit.
 
-One second of a run makes a chunk. A run that ends with the battery loses at most its last second.
+Each second of a run makes a chunk. A run that ends with the battery loses at most its last second.
 """
 
 import os
@@ -30,15 +30,16 @@ from renet.deploy.teleop import TeleopCommand
 from renet.files import create
 from renet.interface import DEPTH_SHAPE
 
-TICKS_PER_CHUNK = 50
-MAX_WAITING = 20
-"""Chunks, each a second of the run, that wait for the disk."""
-CLOSING = 5.0
-"""Seconds that `close` waits for the disk."""
+_TICKS_PER_CHUNK = 50
+"""Control ticks of a chunk: one second."""
+MAX_CHUNKS = 20
+"""Most chunks, each of one second, that wait for the disk."""
+DISK_SECONDS = 5.0
+"""Longest wait of `close` for the disk, s."""
 
 
-class Entry(NamedTuple):
-    """A message before it is encoded."""
+class _Entry(NamedTuple):
+    """Message before it is encoded."""
 
     topic: str
     time: float
@@ -47,7 +48,7 @@ class Entry(NamedTuple):
 
 
 class Recorder:
-    """Writes a recording; encoding, compression and disk are left to a thread of its own.
+    """Writes a recording; a thread of its own encodes, compresses and writes to disk.
 
     A disk that fails, hangs or does not keep up ends the recording, never the run.
     """
@@ -59,35 +60,36 @@ class Recorder:
 
         Args:
             path: of the file, which must not exist.
-            header: JSON values that say what runs.
-            patient: wait for a slow disk, at most `CLOSING` seconds at a time: for runs on a
-                simulated clock, which no disk keeps up with for long.
+            header: configuration of the run, in JSON values.
+            patient: wait for a slow disk, at most `DISK_SECONDS` at a time: for runs on a simulated
+                clock, with which no disk keeps up for long.
             time: seconds on the robot's clock at which the run begins.
 
         Raises:
             RenetError: the file cannot be created.
         """
-        self._patience = CLOSING if patient else 0.0
+        self._patience = DISK_SECONDS if patient else 0.0
         self._file = create(path, "recording")
-        self._chunks: Queue[list[Entry] | None] = Queue(MAX_WAITING)
+        self._chunks: Queue[list[_Entry] | None] = Queue(MAX_CHUNKS)
         self.path = path
         self.problem = ""
-        """Reason why the recording ended early; empty while it goes on."""
+        """Reason why the recording ended early; empty as long as it did not."""
         self.hung = False
         """True if the disk still had not answered when the recording was closed."""
-        self._entries = [Entry(Topic.RUN, time, header)]
+        # Handed over to the thread at each chunk.
+        self._entries = [_Entry(Topic.RUN, time, header)]
         self._ticks = 0
         """Ticks since the last chunk."""
         self._last_frame: tuple[int, float] | None = None
         self._last_power = np.full((), np.nan, POWER_DTYPE)
         self._thread = threading.Thread(target=self._write, daemon=True)
         self._thread.start()
-        # A chunk of its own, which a kill in the first second leaves.
+        # The header is a chunk of its own, so that a run killed in its first second has one.
         self._flush()
 
     def event(self, event: Event) -> None:
         """Record a transition (`Controller.on_event`)."""
-        self._entries.append(Entry(Topic.EVENTS, event.time, event))
+        self._entries.append(_Entry(Topic.EVENTS, event.time, event))
 
     def append(
         self,
@@ -99,7 +101,17 @@ class Recorder:
         compute_ms: float,
         base_position: np.ndarray | None = None,
     ) -> None:
-        """Record one control tick; whatever it is given, it does not raise."""
+        """Record one control tick; never raises, whatever a driver returned.
+
+        Args:
+            state: reading of the robot, as its driver returned it.
+            frame: newest depth frame, as the camera returned it.
+            teleop: the operator's command.
+            now: time of the tick, s on the robot's clock.
+            decision: of the controller.
+            compute_ms: duration of the controller's tick, ms.
+            base_position: [3] m in the world, where a simulator knows it.
+        """
         tick = np.zeros((), TICK_DTYPE)
         tick["now"] = now
         tick["compute_ms"] = compute_ms
@@ -113,42 +125,45 @@ class Recorder:
             tick[name] = getattr(decision.command, name)
         for name in DECIDED:
             tick[name] = getattr(decision, name)
-        self._entries.append(Entry(Topic.TICK, now, tick))
+        self._entries.append(_Entry(Topic.TICK, now, tick))
         self._ticks += 1
-        if self._ticks == TICKS_PER_CHUNK:
+        if self._ticks == _TICKS_PER_CHUNK:
             self._flush()
 
     def close(self) -> None:
-        """Write what is left, for at most twice `CLOSING` seconds; safe to call twice."""
+        """Write the rest, for at most twice `DISK_SECONDS`; safe to call twice."""
         if self._thread.is_alive():
             self._flush()
             with suppress(Full):
-                self._chunks.put(None, timeout=CLOSING)
-            self._thread.join(CLOSING)
+                self._chunks.put(None, timeout=DISK_SECONDS)
+            self._thread.join(DISK_SECONDS)
         self.hung = self._thread.is_alive()
         if self.hung:
             self.problem = self.problem or f"the recording {self.path} ends early: the disk hangs"
-            return  # Closing the file would wait for the same disk.
-        with suppress(OSError):  # Already told as `problem`.
+            # Closing the file would wait for the same disk.
+            return
+        # An error of the disk is known from `problem` already.
+        with suppress(OSError):
             self._file.close()
 
     def _store_power(self, state: RobotState | None, now: float) -> None:
-        """Record temperatures, charge and voltage where one differs from before."""
+        """Record temperatures, charge and voltage if one of them changed."""
         power = np.zeros((), POWER_DTYPE)
         try:
             for name in ("temperature", "battery", "voltage"):
                 power[name] = getattr(state, name)
-        except Exception:  # No reading, or a driver's object, which may fail in any way.
+        except Exception:
+            # No reading, or a driver's object, which may fail in any way.
             return
-        # As bytes, in which NaN equals NaN.
+        # Compared as bytes, in which NaN equals NaN.
         power["now"] = self._last_power["now"]
         if power.tobytes() != self._last_power.tobytes():
             power["now"] = now
             self._last_power = power
-            self._entries.append(Entry(Topic.POWER, now, power))
+            self._entries.append(_Entry(Topic.POWER, now, power))
 
     def _store_frame(self, tick: np.ndarray, frame: DepthFrame | None) -> int:
-        """Copy a frame, and record its image if it is new."""
+        """Copy a frame, and record its image if it is new; returns `NONE`, `GOOD` or `BAD`."""
         if frame is None:
             return NONE
         try:
@@ -159,11 +174,11 @@ class Recorder:
             if key != self._last_frame:
                 if np.shape(frame.image) != DEPTH_SHAPE:
                     return BAD
+                # A copy in half precision, in which the policy sees it.
                 with np.errstate(over="ignore"):
-                    # A copy, in the precision in which the policy sees it.
                     image = np.array(frame.image, np.float16)
                 depth = DepthImage(float(frame.time), image)
-                self._entries.append(Entry(Topic.DEPTH, float(tick["now"]), depth))
+                self._entries.append(_Entry(Topic.DEPTH, float(tick["now"]), depth))
                 tick["new_image"] = True
                 self._last_frame = key
         except Exception:  # A driver's object may fail in any way.
@@ -171,7 +186,7 @@ class Recorder:
         return GOOD
 
     def _flush(self) -> None:
-        """Hand the entries since the last chunk to the thread that writes."""
+        """Hand the entries since the last chunk to the writing thread."""
         entries = self._entries
         self._entries = []
         self._ticks = 0
@@ -183,25 +198,27 @@ class Recorder:
             self.problem = f"the recording {self.path} ends early: the disk does not keep up"
 
     def _write(self) -> None:
-        """Write chunks until there is None, then the index of a recording without a problem."""
+        """Write chunks until None comes, then the index if there was no problem."""
         try:
             writer = ChannelWriter(self._file)
             while (entries := self._chunks.get()) is not None:
                 for topic, time, value in entries:
                     writer.write(topic, time, encode(value))
                 writer.flush()
-                os.fsync(self._file.fileno())  # The battery may go next.
+                # The battery may be empty next.
+                os.fsync(self._file.fileno())
             if not self.problem:
                 writer.finish()
                 self._file.flush()
                 os.fsync(self._file.fileno())
-        except Exception as error:  # Whatever it is: the run goes on, and is told.
+        except Exception as error:
+            # Whatever it is, the run goes on, and reports it.
             why = str(error) or type(error).__name__
             self.problem = f"the recording {self.path} ends early: {why}"
 
 
 def _store_teleop(tick: np.ndarray, teleop: TeleopCommand) -> None:
-    """Copy the operator's command; what is none stops the robot, now as in a replay."""
+    """Copy the operator's command; a malformed one is a stop, in the run as in a replay."""
     try:
         for name in WISHES:
             tick[name] = getattr(teleop, name)
@@ -210,7 +227,10 @@ def _store_teleop(tick: np.ndarray, teleop: TeleopCommand) -> None:
 
 
 def _store_state(tick: np.ndarray, state: RobotState | None) -> int:
-    """Copy a reading; one that is malformed leaves NaN, which a replay refuses alike."""
+    """Copy a reading; returns `NONE`, `GOOD` or `BAD`.
+
+    A malformed one is stored as NaN, which the controller refuses in a replay, too.
+    """
     if state is None:
         return NONE
     try:

@@ -1,4 +1,4 @@
-"""Replays a run: the recorded inputs through the same controller, vision thread and all."""
+"""Replay of a run: the recorded inputs through the same controller, as its threads were timed."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -20,33 +20,53 @@ from renet.interface import DEPTH_SHAPE
 from renet.pilot.inference import InlineInference
 from renet.pilot.reach import UNSEEN
 
-UNREADABLE = np.full(DEPTH_SHAPE, np.nan, np.float32)
+_UNREADABLE = np.full(DEPTH_SHAPE, np.nan, np.float32)
+"""Image in place of one that was malformed, which the controller refuses, too."""
 
 
 class ScriptedInference(InlineInference):
-    """Gives each tick's result at the control step at which the run's thread gave it."""
+    """Returns each vision result at the control step at which the run's thread returned it."""
 
     def __init__(self, sessions, ticks: np.ndarray) -> None:
         super().__init__(sessions)
         self._ticks = ticks
         self.step = 0
+        """Row of the control tick that is replayed."""
 
     def ready(self) -> bool:
-        """Whether the thread was ready then."""
+        """True if the thread of the run was ready at this step."""
         return not self._ticks["fallback"][self.step]
 
     def take(self):
-        """The result, if it was ready then."""
+        """Result of the vision tick; None if the run took none at this step."""
         row = self._ticks[self.step]
         return super().take() if row["inferred"] and not row["fallback"] else None
 
 
-def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
-    """What the controller decides at each tick of a run, given the same inputs.
+def replay_run(run: Recording, bundle: Bundle) -> Iterator[Decision]:
+    """Decisions of the controller at each tick of a run, from the same inputs.
 
     Raises:
         RenetError: the run was made with another bundle, or its log lacks limits or mode.
     """
+    controller, inference = _controller(run, bundle)
+    image = _UNREADABLE
+    # Reasons for damping that did not come from the controller's inputs.
+    outside = (REFUSED, EXHAUSTED)
+    tripped = {event.time: event.why for event in run.events if event.why.startswith(outside)}
+    for step, tick in enumerate(run.ticks):
+        inference.step = step
+        now = float(tick["now"])
+        image = run.images.get(step, image)
+        teleop = TeleopCommand(*tick[[*WISHES]].item())
+        controller.tick(_state(tick), _frame(tick, image), teleop, now)
+        yield controller.decision
+        if now in tripped:
+            controller.trip(tripped[now], now)
+
+
+def _controller(run: Recording, bundle: Bundle) -> tuple[Controller, ScriptedInference]:
+    """Controller with the limits of a run, and its vision; raises RenetError as `replay_run`."""
     made_with = run.header.get("bundle_sha256")
     if made_with != bundle.sha256:
         raise RenetError(
@@ -58,35 +78,26 @@ def replay(run: Recording, bundle: Bundle) -> Iterator[Decision]:
         mode = run.header["mode"]
     except (KeyError, TypeError) as error:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
-    # Earlier recordings do not say it: their robots could only walk on.
+    # Earlier recordings do not hold it: their robots could only walk on.
     unseen = run.header.get("unseen", "walk")
     if unseen not in UNSEEN:
         raise RenetError(f"the recording's header has unseen {unseen!r}: {', '.join(UNSEEN)}")
     controller = Controller(bundle, safety, lambda sessions: inference, mode, unseen=unseen)
-    image = UNREADABLE
-    # What came from outside the controller's inputs.
-    outside = (REFUSED, EXHAUSTED)
-    tripped = {e.time: e.why for e in run.events if e.why.startswith(outside)}
-    for step, tick in enumerate(run.ticks):
-        inference.step = step
-        image = run.images.get(step, image)
-        teleop = TeleopCommand(*tick[[*WISHES]].item())
-        controller.tick(_state(tick), _frame(tick, image), teleop, float(tick["now"]))
-        yield controller.decision
-        if float(tick["now"]) in tripped:
-            controller.trip(tripped[float(tick["now"])], float(tick["now"]))
+    return controller, inference
 
 
-def mismatch(run: Recording, bundle: Bundle) -> float:
-    """Largest difference between logged and replayed joint targets, rad; zero is a true replay."""
+def replay_error(run: Recording, bundle: Bundle) -> float:
+    """Largest difference between recorded and replayed joint targets, rad; zero if equal."""
     worst = 0.0
-    for tick, decision in zip(run.ticks, replay(run, bundle), strict=True):
+    for tick, decision in zip(run.ticks, replay_run(run, bundle), strict=True):
         apart = np.abs(tick["position"] - decision.command.position).max()
-        worst = float(np.maximum(worst, apart))  # NaN where one of both is.
+        # NaN if either is.
+        worst = float(np.maximum(worst, apart))
     return worst
 
 
 def _state(tick: np.ndarray) -> RobotState | None:
+    """Reading of a recorded tick; None if there was none."""
     if tick["state"] == NONE:
         return None
     values: dict[str, Any] = {name: tick[name] for name in VECTORS}
@@ -94,34 +105,50 @@ def _state(tick: np.ndarray) -> RobotState | None:
 
 
 def _frame(tick: np.ndarray, image: np.ndarray) -> DepthFrame | None:
+    """Depth frame of a recorded tick with the newest image; None if there was none."""
     if tick["frame"] == NONE:
         return None
-    image = image if tick["frame"] == GOOD else UNREADABLE
+    image = image if tick["frame"] == GOOD else _UNREADABLE
     return DepthFrame(image, *tick[["frame_number", "frame_time", "frame_invalid"]].item())
 
 
 class ReplayCamera(Camera):
-    """Gives each image as long after `start` as it came after the run's first; keeps the last."""
+    """Shows each image of a run as long after `start` as it came after the first one.
+
+    The last image stays.
+    """
 
     def __init__(self, run: Recording, now: Callable[[], float]) -> None:
-        """Set up to show a run by the robot's clock `now`; raises RenetError without images."""
+        """Set up without showing an image.
+
+        Args:
+            run: whose images are shown.
+            now: returns the time on the robot's clock, s.
+
+        Raises:
+            RenetError: the run has no images.
+        """
         if not run.images:
             raise RenetError("the recording holds no images: it was made without a camera")
-        self._run, self._now, self._begun = run, now, math.inf
+        self._run = run
+        self._now = now
+        self._begun = math.inf
         self._rows = sorted(run.images)
         times = run.ticks["now"][self._rows]
         self._times = times - times[0]
 
     def start(self) -> None:
-        """The first image is shown now."""
+        """Begin to stream: the first image is shown now."""
         self._begun = self._now()
 
     def latest(self) -> DepthFrame | None:
         """Newest frame; None before the first."""
         since = self._now() - self._begun
+        # The small number makes up for the rounding of clocks.
         newest = int(np.searchsorted(self._times, since + 1e-6, side="right")) - 1
         if newest < 0:
             return None
-        row, time = self._rows[newest], self._begun + float(self._times[newest])
+        row = self._rows[newest]
+        time = self._begun + float(self._times[newest])
         number, invalid = self._run.ticks[row][["frame_number", "frame_invalid"]].item()
         return DepthFrame(self._run.images[row], number, time, invalid)

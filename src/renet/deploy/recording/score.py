@@ -1,4 +1,4 @@
-"""`renet evaluate log`: what a run came to and its timeline, from its recording alone."""
+"""`renet evaluate log`: score and timeline of a run, from its recording alone."""
 
 import io
 import json
@@ -13,7 +13,7 @@ import tyro
 from renet.bundle import Bundle
 from renet.deploy.recording.objections import legend_of, objectors
 from renet.deploy.recording.reader import Recording, read_recording
-from renet.deploy.recording.replay import mismatch
+from renet.deploy.recording.replay import replay_error
 from renet.deploy.recording.tick import GOOD, MODES
 from renet.deploy.robots.base import heading
 from renet.deploy.safety.machine import ENDED, Mode
@@ -23,17 +23,20 @@ from renet.interface import CONTROL_DT
 from renet.palette import STATES
 from renet.selector.selector import BLIND, REMEMBERS, SEES
 
-SCORE, TIMELINE = "score.json", "timeline.svg"
+SCORE = "score.json"
+"""File name of a score."""
+TIMELINE = "timeline.svg"
+"""File name of a timeline."""
 BANDS = (("#9aa0a8", "damped or standing up"), *STATES.values())
-"""Colours and names of who acts."""
-DROP = 1.0
-"""Metres that a base drops in a second only if nothing carries it; stairs go down by 0.5."""
-MAX_POINTS = 5000
-"""Points of a curve; longer runs are thinned out."""
-CUT = 3.0
-"""Multiple of its threshold at which a monitor's score is cut off in the picture."""
-MAX_MARKS = 40
-"""Events written into the picture."""
+"""Colours and names of the states of a run: damped or standing up, then the selector's."""
+_DROP = 1.0
+"""Drop of the base within a second, m, from which nothing carries it; stairs go down by 0.5."""
+_MAX_POINTS = 5000
+"""Most points of a curve; longer runs are thinned out."""
+_CUT = 3.0
+"""Multiple of the threshold at which a monitor's curve is cut off."""
+_MAX_MARKS = 40
+"""Most events and onsets in the picture."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,13 @@ class ScoreCfg:
 
 
 def score_log(cfg: ScoreCfg) -> Path:
-    """Write score and timeline, and print the score; returns the folder.
+    """Write score and timeline, and print the score; returns their folder.
 
     Raises:
-        RenetError: no recording, or another bundle's.
+        RenetError: the file is no recording, or was made with another bundle than `replay`.
     """
     run = read_recording(cfg.recording)
-    difference = None if cfg.replay is None else mismatch(run, Bundle.load(cfg.replay))
+    difference = None if cfg.replay is None else replay_error(run, Bundle.load(cfg.replay))
     result = write_score(run, cfg.out or cfg.recording.parent, cfg.onset)
     for name, value in result.items():
         if name not in ("events", "run"):
@@ -70,20 +73,24 @@ def score_log(cfg: ScoreCfg) -> Path:
 def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> dict[str, Any]:
     """Write `score.json` and `timeline.svg`; returns the score."""
     onsets = [*run.header.get("onsets", []), *onsets]
-    result = score(run, onsets)
+    result = score_run(run, onsets)
     write_atomically(folder / SCORE, (json.dumps(result, indent=1) + "\n").encode(), "score")
     try:
-        draw_timeline(run, onsets, folder / TIMELINE)
-    except RenetError as error:  # The score is worth more than its picture.
+        draw_run(run, onsets, folder / TIMELINE)
+    except RenetError as error:
+        # A score without its picture is still worth having.
         print(error)
     return result
 
 
-def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
+def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     """Falls, distance, speed, switches and timing of a run.
 
-    The distance is from where walking began to where it ended. Vision was spoilt at `onsets`,
-    seconds from the run's start.
+    The distance is that between the places where walking began and ended.
+
+    Args:
+        run: to score.
+        onsets: seconds from the run's start at which vision was spoilt.
     """
     ticks = run.ticks
     start = ticks["now"][0] if len(ticks) else 0.0
@@ -92,10 +99,10 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
     first = float(start + min(onsets, default=np.inf))
-    # A robot let go on stairs as the run ends may topple, which is not the policy's fall.
+    # A robot on stairs that is damped as the run ends may topple: that is no fall of the policy.
     until = next((event.time for event in run.events if event.why == ENDED), np.inf)
     felled = np.diff(fallen(ticks).astype(int), prepend=0) > 0
-    # One that lies on its back from the start never fell.
+    # A robot that lies on its back from the start never fell.
     risen = np.logical_or.accumulate(ticks["mode"] != MODES.index(Mode.DAMPING))
     blind = ticks["now"][walking & ~ticks["vision"]] - start
     went_blind = [event.time for event in run.events if event.what == BLIND]
@@ -111,7 +118,7 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
         "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
         "states": states(ticks[walking]),
-        "crossed": crossed(run, path),
+        "crossed": _crossing(run, path),
         "switches": sum(event.what in (SEES, BLIND) for event in run.events),
         "blind_before_first_fault": sum(time < first for time in went_blind),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
@@ -123,27 +130,32 @@ def score(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
 
 
 def summary(score: dict[str, Any]) -> str:
-    """A score in one line."""
+    """Score of a run in one line."""
     delays = ", ".join("never" if d is None else f"{d:.2f} s" for d in score["switch_delay_s"])
+    # With its memory a policy may do without OP.
     if score["memory_share"] and not any(score["switch_delay_s"]):
-        delays = ""  # Memory spared it OP.
+        delays = ""
     end = "fell" if score["falls"] else score["crossed"]
     parts = [
         " → ".join([*score["states"], *filter(None, [end])]),
         f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
         f"({score['distance_from']})",
-        shares(score) if score["walking_seconds"] else "",
+        state_shares(score) if score["walking_seconds"] else "",
         f"from fault to OP {delays}" if delays else "",
         f"falls: {score['falls']}",
     ]
     return "; ".join(part for part in parts if part)
 
 
-def shares(score: dict[str, Any]) -> str:
+def state_shares(score: dict[str, Any]) -> str:
     """Shares of the walk in each of the selector's states, in whole per cent that add up to 100."""
-    remembered, blind = score["memory_share"], 1.0 - score["vision_share"]
-    parts = {"saw": score["vision_share"] - remembered, "remembered": remembered, "blind": blind}
-    # Rounded down; the largest remainders get what is missing.
+    remembered = score["memory_share"]
+    parts = {
+        "saw": score["vision_share"] - remembered,
+        "remembered": remembered,
+        "blind": 1.0 - score["vision_share"],
+    }
+    # Rounded down; the largest remainders get the per cent that are missing.
     whole = {name: int(100.0 * share + 1e-9) for name, share in parts.items()}
     by_remainder = sorted(parts, key=lambda name: whole[name] - 100.0 * parts[name])
     for name in by_remainder[: 100 - sum(whole.values())]:
@@ -152,69 +164,75 @@ def shares(score: dict[str, Any]) -> str:
 
 
 def states(walking: np.ndarray) -> list[str]:
-    """Names of the selector's states in ticks [T], in the order in which they first came."""
+    """Names of the selector's states in ticks [T], in the order of their first ticks."""
     acting = np.where(walking["vision"], np.where(walking["has_image"], 0, 1), 2)
     return [[*STATES][number] for number in dict.fromkeys(acting.tolist())]
 
 
-def crossed(run: Recording, path: np.ndarray) -> str:
-    """Whether a robot has left its simulated tile, from its path [T, 3] m; empty elsewhere."""
+def _crossing(run: Recording, path: np.ndarray) -> str:
+    """Verdict whether a robot's path [T, 3] m left its simulated tile; empty without a tile."""
     terrain = run.header.get("terrain")
     if not terrain or terrain == "flat" or not simulated(run.ticks):
         return ""
-    from renet.terrain.tiles import TILE  # Needs MuJoCo, which a robot may lack.
+    # Needs MuJoCo, which may not be installed on a robot.
+    from renet.terrain.tiles import TILE
 
     done = np.abs(path[:, :2]).max(initial=0.0) > TILE / 2
     return f"{'crossed' if done else 'did not cross'} the {terrain.replace('_', ' ')}"
 
 
 def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
-    """Seconds from an onset to OP; zero if OP acted already, None if it never did.
+    """Time from an onset to OP, s; zero if OP acted already, None if it never did.
 
-    The onset and `blind`, the steps that walked on OP, are in seconds from the run's start.
+    Args:
+        blind: times of the steps that walked on OP, s from the run's start.
+        onset: s from the run's start.
     """
     later = blind[blind >= onset - 1e-9]
     return round(float(later[0] - onset), 3) if len(later) else None
 
 
 def fallen(ticks: np.ndarray, lean: float = 60.0) -> np.ndarray:
-    """Whether the base leans by more than `lean` degrees or drops off the ground, [T].
+    """Mask [T] of ticks at which the base leans by more than `lean` degrees or has dropped.
 
-    What is not measured at a tick is as at the tick before. Only a simulator knows of drops.
+    Ticks without a reading repeat the one before. Only recordings of a simulator show drops.
     """
-    quaternion, rows = ticks["quaternion"], np.arange(len(ticks))
+    quaternion = ticks["quaternion"]
+    rows = np.arange(len(ticks))
     measured = (ticks["state"] == GOOD) & (np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) < 0.1)
     upright = 1.0 - 2.0 * (quaternion[:, 1:3] ** 2).sum(axis=1)
     leaning = measured & (upright < np.cos(np.radians(lean)))
-    leaning[1:-1] &= leaning[:-2] | leaning[2:]  # A single reading is an odd one.
+    # A single reading may be a wrong one: its neighbours decide.
+    leaning[1:-1] &= leaning[:-2] | leaning[2:]
     height = ticks["base_position"][:, 2]
-    dropped = height[np.maximum(rows - round(1.0 / CONTROL_DT), 0)] - height > DROP
+    dropped = height[np.maximum(rows - round(1.0 / CONTROL_DT), 0)] - height > _DROP
+    # Row of the last reading up to each tick.
     return leaning[np.maximum.accumulate(np.where(measured, rows, 0))] | dropped
 
 
 def simulated(ticks: np.ndarray) -> bool:
-    """Whether the recording says where the base was: only a simulator knows."""
+    """True if ticks hold the position of the base, which only a simulator knows."""
     return bool(np.isfinite(ticks["base_position"]).all())
 
 
 def track(ticks: np.ndarray) -> np.ndarray:
     """Base positions [T, 3] m: the simulator's, or dead reckoning at a constant height.
 
-    A robot adds up the velocity estimated by whichever estimator acted.
+    Dead reckoning adds up the velocities of the estimator that acted at each tick.
     """
     if simulated(ticks):
         return ticks["base_position"].astype(float)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
     velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
     yaw = np.array([heading(q) if np.isfinite(q).all() else 0.0 for q in ticks["quaternion"]])
-    # Numbers x + iy of the plane, which exp(i yaw) turns from the base to the world.
+    # Complex numbers x + iy, which exp(i yaw) turns from the base frame to the world.
     steps = (velocity[:, 0] + 1j * velocity[:, 1]) * np.exp(1j * yaw)
     path = np.cumsum(CONTROL_DT * np.where(walking, steps, 0.0))
     return np.stack([path.real, path.imag, np.zeros(len(ticks))], axis=1)
 
 
 def spread(values: np.ndarray) -> dict[str, float]:
-    """p50, p99 and maximum; empty for no values."""
+    """Median, 99th percentile and maximum; empty for no values."""
     if not len(values):
         return {}
     points = np.percentile(values, (50, 99, 100)).astype(float).round(3)
@@ -222,13 +240,28 @@ def spread(values: np.ndarray) -> dict[str, float]:
 
 
 def _mean(values: np.ndarray) -> float:
+    """Mean, or 0 of no values."""
     return float(values.mean()) if len(values) else 0.0
 
 
-def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
-    """Draw the monitors that objected, vision probability and speed over who was in charge.
+@dataclass(frozen=True)
+class _Panel:
+    """Curves over time in one part of a timeline."""
 
-    Vision was spoilt at `onsets`, seconds from the run's start; the path's ending says the format.
+    label: str
+    curves: list[tuple[np.ndarray, str]]
+    """Values [T] of each curve, and its colour."""
+    line: float | None = None
+    """Height of a dashed line."""
+
+
+def draw_run(run: Recording, onsets: Sequence[float], path: Path) -> None:
+    """Draw the monitors that objected, vision probability and speed over the states of a run.
+
+    Args:
+        run: to draw.
+        onsets: seconds from the run's start at which vision was spoilt.
+        path: of the picture; its ending gives the format.
 
     Raises:
         RenetError: matplotlib is not installed, or the picture cannot be written.
@@ -237,57 +270,73 @@ def draw_timeline(run: Recording, onsets: Sequence[float], path: Path) -> None:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
         raise RenetError(f"the timeline needs matplotlib: {install('sim')}") from error
-    every = len(run.ticks) // MAX_POINTS + 1
+    every = len(run.ticks) // _MAX_POINTS + 1
     ticks = run.ticks[::every]
     time = ticks["now"] - ticks["now"][0] if len(ticks) else np.zeros(0)
-    walking = ticks["mode"] == MODES.index(Mode.WALKING)
-    vision = ticks["vision"]
-    objections = {
-        legend_of(name): (np.minimum(values[::every], CUT), f"C{number}")
-        for number, (name, values) in enumerate(objectors(run).items())
-    }
-    speed = np.where(vision[:, None], ticks["velocity_vp"], ticks["velocity_op"])[:, 0]
-    speeds = [(ticks["told"][:, 0], "#222730"), (speed, "#b5532f")]
-    panels = (
-        (f"monitors: score / threshold\n(1: objects; cut at {CUT:g})", [*objections.values()], 1.0),
-        ("vision probability P", [(ticks["probability"], "#2f7d32")], 0.5),
-        ("forward speed in m/s\n(black: commanded)", speeds, None),
-    )
+    ratios = objectors(run)
+    monitors = []
+    for number, values in enumerate(ratios.values()):
+        monitors.append((np.minimum(values[::every], _CUT), f"C{number}"))
     figure = Figure(figsize=(10, 6), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
-    acting = np.where(walking, np.where(vision, np.where(ticks["has_image"], 1, 2), 3), 0)
-    for axis, (label, curves, line) in zip(axes, panels, strict=True):
-        height = axis.get_xaxis_transform()
-        for kind, (colour, name) in enumerate(BANDS):
-            look = {"color": colour, "alpha": 0.3, "lw": 0, "label": name}
-            axis.fill_between(time, 0, 1, acting == kind, transform=height, **look)
-        for values, colour in curves:
-            shown = np.where(walking & np.isfinite(values) & (np.abs(values) < 1e6), values, np.nan)
-            axis.plot(time, shown, color=colour, linewidth=1)
-        if line is not None:
-            axis.axhline(line, color="#555b66", linestyle="--", linewidth=0.8)
-        axis.set_ylabel(label, parse_math=False, fontsize=8)
-        for onset in onsets[:MAX_MARKS]:
+    for axis, panel in zip(axes, _panels(ticks, monitors), strict=True):
+        _draw_panel(axis, panel, ticks, time)
+        for onset in onsets[:_MAX_MARKS]:
             axis.axvline(onset, color="#a3121f", linestyle=":", linewidth=1)
     axes[-1].set_xlabel("s")
     axes[0].set_title(_title(run), fontsize=10, parse_math=False)
-    _add_legends(axes[0], [*objections])
-    begun = run.ticks["now"][0] if len(run.ticks) else 0.0
-    whats = (REMEMBERS, BLIND, Mode.DAMPING)
-    events = [event for event in run.events if event.what in whats][:MAX_MARKS]
-    for row, event in enumerate(events):
-        text = f"{event.what}: {event.why[:60]}"
-        place = (event.time - begun, 0.85 - 0.15 * (row % 4))
-        look = {"transform": axes[0].get_xaxis_transform(), "fontsize": 7, "parse_math": False}
-        side = "left" if place[0] < time.max(initial=0.0) / 2 else "right"
-        axes[0].text(*place, text, ha=side, clip_on=True, **look)
+    _add_legends(axes[0], [legend_of(name) for name in ratios])
+    _add_events(axes[0], run, time)
     picture = io.BytesIO()
     figure.savefig(picture, format=path.suffix[1:])
     write_atomically(path, picture.getvalue(), "timeline")
 
 
+def _panels(ticks: np.ndarray, monitors: list[tuple[np.ndarray, str]]) -> tuple[_Panel, ...]:
+    """Panels of a timeline of ticks [T], from top to bottom."""
+    speed = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])[:, 0]
+    speeds = [(ticks["told"][:, 0], "#222730"), (speed, "#b5532f")]
+    return (
+        _Panel(f"monitors: score / threshold\n(1: objects; cut at {_CUT:g})", monitors, 1.0),
+        _Panel("vision probability P", [(ticks["probability"], "#2f7d32")], 0.5),
+        _Panel("forward speed in m/s\n(black: commanded)", speeds),
+    )
+
+
+def _draw_panel(axis: Any, panel: _Panel, ticks: np.ndarray, time: np.ndarray) -> None:
+    """Draw a panel's curves over bands of the states at ticks [T] and their times [T] s."""
+    walking = ticks["mode"] == MODES.index(Mode.WALKING)
+    # Numbers of `BANDS`.
+    seeing = np.where(ticks["has_image"], 1, 2)
+    acting = np.where(walking, np.where(ticks["vision"], seeing, 3), 0)
+    height = axis.get_xaxis_transform()
+    for kind, (colour, name) in enumerate(BANDS):
+        look = {"color": colour, "alpha": 0.3, "lw": 0, "label": name}
+        axis.fill_between(time, 0, 1, acting == kind, transform=height, **look)
+    for values, colour in panel.curves:
+        shown = np.where(walking & np.isfinite(values) & (np.abs(values) < 1e6), values, np.nan)
+        axis.plot(time, shown, color=colour, linewidth=1)
+    if panel.line is not None:
+        axis.axhline(panel.line, color="#555b66", linestyle="--", linewidth=0.8)
+    axis.set_ylabel(panel.label, parse_math=False, fontsize=8)
+
+
+def _add_events(axis: Any, run: Recording, time: np.ndarray) -> None:
+    """Write transitions to worse states and their reasons into an axis with times [T] s."""
+    begun = run.ticks["now"][0] if len(run.ticks) else 0.0
+    whats = (REMEMBERS, BLIND, Mode.DAMPING)
+    events = [event for event in run.events if event.what in whats]
+    for row, event in enumerate(events[:_MAX_MARKS]):
+        text = f"{event.what}: {event.why[:60]}"
+        # Neighbours are written at different heights, towards the middle of the picture.
+        place = (event.time - begun, 0.85 - 0.15 * (row % 4))
+        look = {"transform": axis.get_xaxis_transform(), "fontsize": 7, "parse_math": False}
+        side = "left" if place[0] < time.max(initial=0.0) / 2 else "right"
+        axis.text(*place, text, ha=side, clip_on=True, **look)
+
+
 def _add_legends(axis: Any, monitors: Sequence[str]) -> None:
-    """Legends of who was in charge, and of the monitors whose curves an axis shows first."""
+    """Add legends of the states, and of the monitors, whose curves are the axis' first lines."""
     bands = axis.legend(loc="upper right", fontsize=7, ncols=4)
     if monitors:
         axis.add_artist(bands)
@@ -296,6 +345,7 @@ def _add_legends(axis: Any, monitors: Sequence[str]) -> None:
 
 
 def _title(run: Recording) -> str:
+    """Title of a timeline: bundle, robot and terrain."""
     header = run.header
     where = f" on {header['terrain']}" if header.get("terrain") else ""
     bundle = f"{header.get('bundle') or 'bundle'} {(header.get('bundle_sha256') or '')[:12]}"

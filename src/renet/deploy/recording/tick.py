@@ -1,7 +1,7 @@
 """Fields of a recorded control tick, as a NumPy record and as a ROS 2 message.
 
-A record's bytes are the message's CDR payload: its fields are ordered by the size of their numbers,
-so that none needs padding.
+The bytes of a record are the CDR payload of the message: fields are ordered by the size of their
+numbers, so that none needs padding.
 """
 
 from dataclasses import fields
@@ -15,26 +15,31 @@ from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.interface import ACTION_SIZE, LATENT
 
-NONE, GOOD, BAD = 0, 1, 2
-"""A reading or frame was absent at a tick, was recorded, or could not be."""
+NONE = 0
+"""Code of a tick without a reading or frame."""
+GOOD = 1
+"""Code of a reading or frame that was recorded."""
+BAD = 2
+"""Code of a reading or frame that was malformed."""
 READINGS = ("NONE", "GOOD", "BAD")
+"""Names of these codes."""
 MODES = tuple(Mode)
 """Modes of the safety machine by their recorded number."""
-TYPES = {"float64": "<f8", "int64": "<i8", "float32": "<f4", "uint8": "u1", "bool": "?"}
-"""NumPy's types by their names in ROS 2."""
+_NUMPY_TYPES = {"float64": "<f8", "int64": "<i8", "float32": "<f4", "uint8": "u1", "bool": "?"}
+"""NumPy types by their names in ROS 2."""
 
 
 class Field(NamedTuple):
-    """A number, or an array of numbers, of a message."""
+    """Field of a message: a number or an array of numbers."""
 
     kind: str
-    """A key of `TYPES`."""
+    """A key of `_NUMPY_TYPES`."""
     name: str
     size: int
-    """Numbers of the array; 0: a single number."""
+    """Length of the array; 0 for a single number."""
     comment: str
     values: tuple[str, ...] = ()
-    """Names of the values 0, 1, …, which viewers show in their place."""
+    """Names of the values 0, 1, …, which viewers show instead."""
 
 
 TICK_FIELDS = (
@@ -79,15 +84,15 @@ POWER_FIELDS = (
     Field("float32", "battery", 0, "charge, 0 to 1"),
     Field("float32", "voltage", 0, "of the battery, V"),
 )
-"""Values that a robot does not send are NaN."""
+"""Fields of a power record; values that a robot does not send are NaN."""
 
 
 def record(message: tuple[Field, ...]) -> np.dtype:
-    """NumPy record of a message."""
+    """NumPy record type of a message."""
     entries = []
     for field in message:
         shape = (field.size,) if field.size else ()
-        entries.append((field.name, TYPES[field.kind], shape))
+        entries.append((field.name, _NUMPY_TYPES[field.kind], shape))
     return np.dtype(entries)
 
 
@@ -95,6 +100,7 @@ def definition(message: tuple[Field, ...]) -> str:
     """ROS 2 definition (`.msg`) of a message."""
     lines = []
     for field in message:
+        # Constants of the message name the values of a field.
         for number, value in enumerate(field.values):
             lines.append(f"{field.kind} {field.name.upper()}_{value.upper()}={number}")
         array = f"[{field.size}]" if field.size else ""
@@ -103,14 +109,11 @@ def definition(message: tuple[Field, ...]) -> str:
 
 
 TICK_DTYPE = record(TICK_FIELDS)
-"""One control tick: its inputs, the decision, its duration, and the base's position."""
+"""Record of a control tick: inputs, decision, duration, and position of the base."""
 POWER_DTYPE = record(POWER_FIELDS)
-"""Temperatures, charge and voltage from a tick on."""
+"""Record of temperatures, charge and voltage, which hold until the next one."""
 WISHES = tuple(field.name for field in fields(TeleopCommand))
 """Fields of an operator's command, all of which are recorded."""
-DECIDED = tuple(
-    field.name
-    for field in fields(Decision)
-    if field.name in (TICK_DTYPE.names or ()) and field.name != "mode"
-)
+_DECISION = {field.name for field in fields(Decision)}
+DECIDED = tuple(name for name in TICK_DTYPE.names or () if name in _DECISION - {"mode"})
 """Fields of a `Decision` that are recorded as they are."""

@@ -1,1 +1,1 @@
-"""The safety layer: when a robot may move, and how far one command may go."""
+"""Safety layer: conditions under which a robot may move, and the limits of its commands."""

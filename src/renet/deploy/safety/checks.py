@@ -1,4 +1,4 @@
-"""What forbids a robot to move: each check returns its reason, or an empty text."""
+"""Checks before a robot may move: each returns the reason against it, or an empty string."""
 
 import math
 
@@ -12,21 +12,22 @@ from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 
 EMPTY = 0.05
-"""Charge below which a robot lies down while it still can."""
+"""Charge, 0 to 1, below which a robot lies down while it still can."""
 OVERHEATED = 20.0
 """°C above `max_temperature` at which a robot lies down before its motors fail."""
 MAX_FRAME_AGE = 0.5
-"""Age in seconds of the newest image above which a robot with a camera does not stand up."""
-FUTURE = 0.01
-"""Seconds by which a reading may seem to come from the future: clocks are read one by one."""
+"""Age of the newest image, s, above which a robot with a camera does not stand up."""
+_MAX_AHEAD = 0.01
+"""Time, s, by which a reading may lie ahead of the clock, which is read at another moment."""
 
 
 def clean_state(raw: RobotState, now: float) -> RobotState:
-    """A reading as float arrays of its own; raises RenetError naming what cannot be one."""
+    """Copy of a reading as float arrays; raises RenetError naming the value that cannot be one."""
     arrays = {}
     for name, size in VECTORS.items():
         try:
-            value = np.array(getattr(raw, name), float)  # Drivers reuse their buffers.
+            # A copy: drivers reuse their buffers.
+            value = np.array(getattr(raw, name), float)
         except (TypeError, ValueError) as error:
             raise RenetError(f"{name} is not made of numbers") from error
         if value.shape != (size,):
@@ -36,7 +37,7 @@ def clean_state(raw: RobotState, now: float) -> RobotState:
         arrays[name] = value
     if not math.isfinite(raw.time):
         raise RenetError("the state's time is not finite")
-    if raw.time > now + FUTURE:
+    if raw.time > now + _MAX_AHEAD:
         raise RenetError("the state's time lies in the future")
     if abs(math.hypot(*arrays["quaternion"].tolist()) - 1.0) > 0.1:
         raise RenetError("the quaternion's length is not 1")
@@ -44,12 +45,14 @@ def clean_state(raw: RobotState, now: float) -> RobotState:
 
 
 def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: float) -> str:
-    """Why a clean reading forbids motion; empty if it does not."""
-    if abs(now - state.time) > cfg.max_state_age:  # After a clock's jump back it is negative.
+    """Reason why a clean reading forbids motion; empty if it does not."""
+    # After the clock jumped back the age is negative.
+    if abs(now - state.time) > cfg.max_state_age:
         return f"the state is {1000 * (now - state.time):.0f} ms old"
     if projected_gravity(state.quaternion)[2] > -math.cos(cfg.max_tilt):
         return f"tilted by more than {math.degrees(cfg.max_tilt):.0f} degrees"
-    margin, angles = cfg.joint_margin, state.joint_position.tolist()
+    margin = cfg.joint_margin
+    angles = state.joint_position.tolist()
     for joint, angle, low, high in zip(robot.joints, angles, robot.lower, robot.upper, strict=True):
         if not low - margin <= angle <= high + margin:
             return f"{joint} is out of its range"
@@ -62,7 +65,7 @@ def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: floa
 
 
 def stand_up_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str:
-    """Why a robot that was told to stand up must not walk; empty if its joints followed."""
+    """Reason why a robot that stood up must not walk; empty if its joints followed."""
     error = np.abs(state.joint_position - np.asarray(robot.default_position))
     worst = int(np.argmax(error))
     if error[worst] <= cfg.max_stand_up_error:
@@ -71,7 +74,7 @@ def stand_up_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str
 
 
 def teleop_problem(teleop: TeleopCommand) -> str:
-    """Why an operator's teleop forbids motion; empty if it does not."""
+    """Reason why the operator's command forbids motion; empty if it does not."""
     if teleop.stop:
         return "operator stop"
     if not all(map(math.isfinite, (teleop.forward, teleop.left, teleop.turn_rate))):
@@ -88,11 +91,21 @@ def pre_arm_problem(
     cfg: SafetyCfg,
     now: float,
 ) -> str:
-    """Why the devices forbid standing up at `now`, s on the robot's clock; empty if they do not.
+    """Reason why the devices forbid standing up; empty if they do not.
 
-    `camera` says whether there is one, `recorder` what its problem is. What the controller itself
-    checks at every tick (joints within range, tilt, age of the reading) is not repeated here.
+    The checks that the controller makes at every tick (joints within range, tilt, age of the
+    reading) are not repeated here.
+
+    Args:
+        state: newest reading of the robot.
+        teleop: the operator's command.
+        frame: newest depth frame.
+        camera: True if the run has a camera.
+        recorder: problem of the recorder; empty if it has none.
+        cfg: limits of the run.
+        now: seconds on the robot's clock.
     """
+    # A stick that is already held would start the walk at once.
     for name, unit in (("forward", "m/s"), ("left", "m/s"), ("turn_rate", "rad/s")):
         asked = getattr(teleop, name, 0.0)
         if asked != 0.0:

@@ -1,11 +1,12 @@
-"""When a robot may move, and how it brakes and rises.
+"""State machine of a run: when a robot may move, how it brakes, and how it stands up.
 
     DAMPING --arm, nothing wrong--> STANDING_UP --joints followed--> WALKING
        ^                                 |                             |
        +------ any problem, or stop -----+-----------------------------+
 
-DAMPING is the start and the end: joints are only braked, and it stays until the operator arms
-again. Losing vision is no problem here: the selector falls back to OP within WALKING.
+A run starts and ends in DAMPING, in which joints are only braked, and stays there until the
+operator arms again. A loss of vision is no problem here: the selector falls back to OP within
+WALKING.
 """
 
 import math
@@ -20,10 +21,11 @@ from renet.deploy.teleop import TeleopCommand
 from renet.interface import ACTION_SIZE, CONTROL_DT
 
 REFUSED = "the robot takes no commands"
-"""Why a robot is damped whose driver fails."""
+"""Reason for damping a robot whose driver fails."""
 EXHAUSTED = "the robot lies down"
-"""Why a robot is damped whose battery or motors are at their end."""
+"""Reason for damping a robot whose battery is empty or whose motors are too hot."""
 ENDED = "the run ends"
+"""Reason for damping at the end of a run."""
 
 
 class Mode(StrEnum):
@@ -35,25 +37,37 @@ class Mode(StrEnum):
 
 
 class SafetyMachine:
-    """Decides the mode, tick by tick."""
+    """Decides the mode at every control tick."""
 
     def __init__(self, cfg: SafetyCfg) -> None:
         self.cfg = cfg
         self.mode = Mode.DAMPING
         self.reason = "start"
-        """Why the mode was entered."""
+        """Reason for the mode."""
         self.refused = ""
-        """Why the last tick's wish to stand up was not granted; empty if there was none."""
+        """Reason why the last tick's request to stand up was refused; empty if there was none."""
         self.since = -math.inf
         """Time at which the mode was entered, s on the robot's clock."""
         self._last: float | None = None
         self._late = 0
+        """Late control ticks in a row."""
         self._armed = False
 
     def update(self, problem: str, teleop: TeleopCommand, now: float) -> Mode:
-        """One control tick with the first problem found, or an empty text."""
+        """Advance by one control tick.
+
+        Args:
+            problem: the first one found at this tick; empty if there is none.
+            teleop: the operator's command.
+            now: seconds on the robot's clock.
+
+        Returns:
+            The mode in which this tick is commanded.
+        """
         problem = self._clock_problem(now) or problem
-        arm, self._armed = teleop.arm and not self._armed, teleop.arm
+        # A button that is held arms once.
+        arm = teleop.arm and not self._armed
+        self._armed = teleop.arm
         self.refused = problem if arm and self.mode is Mode.DAMPING else ""
         if problem:
             self.trip(problem, now)
@@ -64,7 +78,7 @@ class SafetyMachine:
         return self.mode
 
     def stood_up(self, now: float) -> bool:
-        """Whether the time to stand up is over: the robot walks or must be damped."""
+        """True once the time to stand up is over: the robot walks or must be damped."""
         return self.mode is Mode.STANDING_UP and now - self.since >= self.rising
 
     @property
@@ -73,31 +87,35 @@ class SafetyMachine:
         return self.cfg.leg_test_seconds + self.cfg.stand_up_seconds
 
     def trip(self, reason: str, now: float) -> None:
-        """Go to DAMPING; the first reason is kept until the operator arms again."""
+        """Enter DAMPING; the first reason is kept until the operator arms again."""
         if self.mode is not Mode.DAMPING:
             self._enter(Mode.DAMPING, reason, now)
 
     def _enter(self, mode: Mode, reason: str, now: float) -> None:
-        self.mode, self.reason, self.since = mode, reason, now
+        self.mode = mode
+        self.reason = reason
+        self.since = now
         self._late = 0
 
     def _clock_problem(self, now: float) -> str:
-        """Missed deadlines, or a clock that cannot be right."""
+        """Reason why the time of a tick forbids motion: a missed deadline, or a wrong clock."""
         if not math.isfinite(now):
             return "the clock is not finite"
-        last, self._last = self._last, now
+        last = self._last
+        self._last = now
         if last is None:
             return ""
         if now <= last:
             return "the clock went backwards" if now < last else "the clock stands"
         if now - last > self.cfg.max_gap:
             return f"no control tick for {1000 * (now - last):.0f} ms"
+        # One late tick does no harm; a row of them is a computer that is too slow.
         self._late = self._late + 1 if now - last > 1.5 * CONTROL_DT else 0
         return f"{self._late} late control ticks in a row" if self._late > self.cfg.max_late else ""
 
 
 def damping_command(robot: RobotSpec, cfg: SafetyCfg) -> JointCommand:
-    """Brake only; needs no reading."""
+    """Command that only brakes the joints; it needs no reading."""
     brake = np.full(ACTION_SIZE, cfg.damping)
     return JointCommand(np.asarray(robot.default_position), np.zeros(ACTION_SIZE), brake)
 
@@ -105,5 +123,6 @@ def damping_command(robot: RobotSpec, cfg: SafetyCfg) -> JointCommand:
 def stand_up_target(start: np.ndarray, robot: RobotSpec, share: float) -> np.ndarray:
     """Joint positions [12] between the pose at arming and the default pose, smooth at both ends."""
     share = min(max(share, 0.0), 1.0)
+    # A cubic whose slope is zero at both ends.
     smooth = share * share * (3.0 - 2.0 * share)
     return start + smooth * (np.asarray(robot.default_position) - start)

@@ -1,4 +1,4 @@
-"""What ends a run from outside its control loop: signals, and a loop that hangs."""
+"""Ends of a run from outside its control loop: signals, and a watchdog for a loop that hangs."""
 
 import os
 import signal
@@ -8,23 +8,25 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-ENDS = ("INT", "TSTP", "QUIT", "TERM", "HUP", "USR1", "USR2")
-"""Signals that end a run. TSTP, Ctrl-Z, too: a stopped program could not brake."""
-POLL = 0.1
-"""Seconds between two looks at the loop."""
-PATIENCE = 6.0
-"""Seconds without a step after which the loop hangs; a recorder waits 5 s for a slow disk."""
-CLOSING = 20.0
-"""Seconds that devices may take to be closed by a run that hangs."""
+_SIGNALS = ("INT", "TSTP", "QUIT", "TERM", "HUP", "USR1", "USR2")
+"""Signals that end a run; also TSTP (Ctrl-Z), since a stopped program could not brake."""
+_POLL = 0.1
+"""Period at which the watchdog looks at the loop, s."""
+HANG_SECONDS = 6.0
+"""Time without a step, s, after which the loop hangs; a recorder waits 5 s for a slow disk."""
+CLOSE_SECONDS = 20.0
+"""Time that a run that hangs gives its devices to close, s."""
 HANGS = "the control loop hangs"
-EXIT_CODE = 2
+"""Message of a run that hangs."""
+_EXIT_CODE = 2
 
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Let signals ask a run to end, braking, instead of ending the program.
+    """Let signals ask a run to brake and end, instead of ending the program.
 
-    Yields a function that says whether the run was asked to; a second Ctrl-C interrupts.
+    Yields a function that returns True once the run was asked to end; a second Ctrl-C raises
+    KeyboardInterrupt.
     """
     interrupted = False
 
@@ -34,7 +36,7 @@ def interruptible() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         interrupted = True
 
-    signals = [signal.Signals[f"SIG{name}"] for name in ENDS]
+    signals = [signal.Signals[f"SIG{name}"] for name in _SIGNALS]
     before = [signal.signal(number, ask) for number in signals]
     try:
         yield lambda: interrupted
@@ -45,27 +47,34 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def watchdog(close: Callable[[], None]) -> Iterator[Callable[[], None]]:
-    """End this process when a loop hangs, as in a model or a driver that does not return.
+    """End this process when its loop hangs, as in a model or a driver that does not return.
 
-    Python handles no signal meanwhile: neither Ctrl-C nor TERM would end it. Before the process
-    ends, `close` brakes and saves what there is, on another thread. Yields a function to call at
-    every step.
+    Meanwhile Python handles no signals: neither Ctrl-C nor TERM would end the process. Before it
+    ends, `close` brakes the robot and saves the recording, on another thread. Yields a function to
+    call at every step.
     """
-    steps, hangs, ended = 0, False, threading.Event()
+    steps = 0
+    hangs = False
+    ended = threading.Event()
 
     def step() -> None:
         nonlocal steps
         steps += 1
+        # A loop that returns late must not walk on: it waits until the process ends.
         if hangs:
-            thread.join()  # Until the process ends: a loop that returns late must not walk on.
+            thread.join()
 
     def watch() -> None:
         nonlocal hangs
-        last = looks = 0
-        while not ended.wait(POLL):
+        last = 0
+        looks = 0
+        while not ended.wait(_POLL):
             # Looks are counted, not seconds: a computer that slept has not looked.
-            last, looks = steps, looks + 1 if steps == last else 0
-            if hangs := looks * POLL >= PATIENCE:
+            seen = steps
+            looks = looks + 1 if seen == last else 0
+            last = seen
+            hangs = looks * _POLL >= HANG_SECONDS
+            if hangs:
                 _end(close)
 
     thread = threading.Thread(target=watch, daemon=True)
@@ -79,10 +88,12 @@ def watchdog(close: Callable[[], None]) -> Iterator[Callable[[], None]]:
 
 def _end(close: Callable[[], None]) -> None:
     """End the process, whatever hangs."""
-    threading.Timer(CLOSING, os._exit, [EXIT_CODE]).start()
+    # Ends it even if closing the devices hangs, too.
+    threading.Timer(CLOSE_SECONDS, os._exit, [_EXIT_CODE]).start()
     with suppress(Exception):
         close()
-    with suppress(Exception):  # The terminal may hang, too, or be none.
-        sys.stderr.write(f"renet: {HANGS} since {PATIENCE:g} s: the run ends, braked\n")
+    # The terminal may be gone.
+    with suppress(Exception):
+        sys.stderr.write(f"renet: {HANGS} since {HANG_SECONDS:g} s: the run ends, braked\n")
         sys.stderr.flush()
-    os._exit(EXIT_CODE)
+    os._exit(_EXIT_CODE)

@@ -1,1 +1,1 @@
-"""Whether a robot's readings are true, and whether its motors do what they are told."""
+"""Checks of a robot's readings and of its motors while it runs."""

@@ -1,4 +1,4 @@
-"""A robot's readings and motors, watched together: what the controller asks at every step."""
+"""All checks of a robot's body, which the controller asks at every control step."""
 
 import numpy as np
 
@@ -15,9 +15,10 @@ from renet.robots import robots
 
 
 class BodyWatch:
-    """Believes a robot's readings or not, and compares what it is told with what it does.
+    """Checks a robot's readings, and compares its commands with its motion.
 
-    Motors and speed are compared while the robot walks. Speed needs a description of its legs.
+    Motors and speed are compared while the robot walks. The check of the speed needs a description
+    of its legs.
     """
 
     def __init__(self, robot: RobotSpec, cfg: SafetyCfg) -> None:
@@ -28,21 +29,24 @@ class BodyWatch:
         self._motors = MotorWatch(torque, _speeds(robot), cfg.least_torque)
         self._speed = _speed_watch(robot)
         self._target: np.ndarray | None = None
-        self._powered = self._walking = False
+        self._powered = False
+        self._walking = False
         self._estimate = np.zeros(3)
+        """Velocity [3] m/s in the base frame, as the policy estimates it."""
         self._problem = ""
 
     @property
     def newest(self) -> RobotState | None:
-        """The newest reading that is believed; None before the first."""
+        """Newest reading that passed the checks; None before the first."""
         return self._intake.newest
 
     def offer(self, raw: RobotState | None, now: float) -> None:
-        """Take in the newest reading at `now`, in seconds on the robot's clock."""
+        """Check the newest reading at `now`, in seconds on the robot's clock."""
         state = self._intake.offer(raw, now)
         if state is None:
             return
         self._problem = self._freezing.problem(state, self._powered, self._target)
+        # Motors and speed are judged by accepted readings alone.
         if state is not self.newest or not self._walking:
             return
         self._problem = self._problem or self._motors.problem(state)
@@ -50,15 +54,19 @@ class BodyWatch:
             self._problem = self._problem or self._speed.problem(state, self._estimate)
 
     def problem(self, now: float) -> str:
-        """Why the robot must not move at `now`, s; empty if it may."""
+        """Reason why the robot must not move at `now`, s; empty if it may."""
         return self._intake.problem(now) or self._problem
 
     def told(self, command: JointCommand, walking: bool, estimate: np.ndarray) -> None:
-        """Keep what the robot is told now, and the velocity [3] m/s that its policy believes in.
+        """Keep the command that the robot is given now.
 
-        `walking` says whether it walks, so that all its joints move.
+        Args:
+            command: of its joint servos.
+            walking: True while it walks, so that all its joints move.
+            estimate: [3] m/s, velocity of the base in its own frame, as the policy estimates it.
         """
         followed = walking and self._cfg.least_torque > 0.0
+        # A walk begins: what motors gave while the robot stood up says nothing of it.
         if followed and not self._walking:
             self._motors.start_over()
             if self._speed is not None:
@@ -71,14 +79,14 @@ class BodyWatch:
 
 
 def _speeds(robot: RobotSpec) -> np.ndarray:
-    """[12] rad/s, beyond which a driver only brakes a joint; infinite where nobody knows."""
+    """Speeds [12] rad/s beyond which a driver only brakes a joint; infinite for unknown robots."""
     if robot.name not in robots():
         return np.full(len(robot.joints), np.inf)
     return robots()[robot.name].velocity
 
 
 def _speed_watch(robot: RobotSpec) -> SpeedWatch | None:
-    """What compares the legs' speed, for robots whose legs are known."""
+    """Check of the speed; None for robots whose legs are not described."""
     try:
         return SpeedWatch(Legs(robots()[robot.name]))
     except (KeyError, RenetError):

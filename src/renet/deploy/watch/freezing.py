@@ -1,4 +1,4 @@
-"""Sensors that say the same again and again: each for itself, and each joint that is to move."""
+"""Detection of frozen sensors: of whole readings, single sensors, and single joints."""
 
 from collections.abc import Mapping
 
@@ -7,56 +7,61 @@ import numpy as np
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.interface import JOINTS
 
-MOST_ALIKE = 5
-"""Readings in a row, 0.1 s, that may be the same to the last bit."""
-TOLD_TO_MOVE = 0.05
-"""rad by which a joint's target moves over as many readings if it is to move: a robot that stands
-still may read the same angle twice, as encoders count steps."""
-NAMES: Mapping[str, str] = {
+MAX_ALIKE = 5
+"""Most readings in a row, 0.1 s, that may be equal to the last bit."""
+_MIN_TRAVEL = 0.05
+"""Travel of a joint's target, rad, over as many readings from which the joint must move, too. A
+robot that stands still may read the same angle twice, since encoders count steps."""
+_SENSORS: Mapping[str, str] = {
     "joint_position": "the joints' angles",
     "joint_velocity": "the joints' speeds",
     "joint_torque": "the joints' torques",
     "quaternion": "the attitude",
     "angular_velocity": "the gyroscope",
 }
-"""What an operator calls the vectors of a reading."""
+"""Names of a reading's vectors in messages to the operator."""
 
 
 class Freezing:
-    """Counts the readings in a row in which a sensor said the same, to the last bit."""
+    """Counts the readings in a row that are equal to the last bit, for each sensor."""
 
     def __init__(self) -> None:
         self._last: RobotState | None = None
         self._alike = dict.fromkeys(VECTORS, 1)
+        """Equal readings in a row of each sensor, the newest included."""
         self._joints: np.ndarray | None = None
-        """Readings in a row in which each joint's angle was the same; None while none must move."""
-        self._low = self._high = np.zeros(len(JOINTS))
-        """Ends of what each joint's target was meanwhile, rad."""
+        """Equal angles in a row of each joint, [12]; None while no joint must move."""
+        self._low = np.zeros(len(JOINTS))
+        """Lowest target [12] rad of each joint over those readings."""
+        self._high = np.zeros(len(JOINTS))
+        """Highest target, likewise."""
 
     def problem(self, state: RobotState, powered: bool, target: np.ndarray | None) -> str:
-        """Why a new reading cannot be true; empty if it can.
+        """Reason why a new reading cannot be true; empty if it can.
 
         Args:
             state: the reading, newer than the one before.
-            powered: whether motors hold the robot, so that each of its sensors trembles. One that
-                lies still may read the same for long, but not from all sensors.
-            target: [12] rad, where its joints have been told to be; None where they were not.
+            powered: True while motors hold the robot, so that every sensor shows noise. Of a robot
+                that lies still, one sensor may stay the same for long, but not all of them.
+            target: [12] rad, commanded joint positions; None where joints are not to move.
         """
-        last, self._last = self._last, state
+        last = self._last
+        self._last = state
         if last is None:
             return ""
         for name in VECTORS:
             same = bool((getattr(last, name) == getattr(state, name)).all())
             self._alike[name] = self._alike[name] + 1 if same else 1
-        if (alike := min(self._alike.values())) > MOST_ALIKE:
+        alike = min(self._alike.values())
+        if alike > MAX_ALIKE:
             return f"the readings are frozen: {alike} are the same"
-        frozen = [name for name in VECTORS if self._alike[name] > MOST_ALIKE]
-        # Drivers of robots that measure no torque say zero.
+        frozen = [name for name in VECTORS if self._alike[name] > MAX_ALIKE]
+        # Drivers of robots that measure no torque report zero.
         if "joint_torque" in frozen and not state.joint_torque.any():
             frozen.remove("joint_torque")
         if powered and frozen:
             name = frozen[0]
-            return f"frozen: {self._alike[name]} readings of {NAMES[name]} are the same"
+            return f"frozen: {self._alike[name]} readings of {_SENSORS[name]} are the same"
         return self._joint_problem(last, state, target)
 
     def _joint_problem(self, last: RobotState, state: RobotState, target: np.ndarray | None) -> str:
@@ -66,13 +71,15 @@ class Freezing:
             return ""
         if self._joints is None:
             self._joints = np.ones(len(JOINTS), int)
-            self._low = self._high = target
+            self._low = target
+            self._high = target
         same = last.joint_position == state.joint_position
+        # Count on, and widen the targets' range, for as long as the angle stays the same.
         self._joints = np.where(same, self._joints + 1, 1)
         self._low = np.where(same, np.minimum(self._low, target), target)
         self._high = np.where(same, np.maximum(self._high, target), target)
-        told = self._high - self._low > TOLD_TO_MOVE
-        stuck = np.flatnonzero((self._joints > MOST_ALIKE) & told)
+        moved = self._high - self._low > _MIN_TRAVEL
+        stuck = np.flatnonzero((self._joints > MAX_ALIKE) & moved)
         if not len(stuck):
             return ""
         joint = JOINTS[stuck[0]]

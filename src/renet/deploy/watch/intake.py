@@ -1,24 +1,24 @@
-"""Which readings a controller believes: single odd ones are left out, and three brake."""
+"""Acceptance of readings: single odd ones are left out, and a third one brakes the robot."""
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.checks import clean_state, state_problem
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.plausibility import LONGEST, Readings, break_problem, comparable
+from renet.deploy.safety.plausibility import MAX_INTERVAL, Readings, break_problem, comparable
 
-MOST_ODD = 2
-"""Odd readings that are left out; meanwhile the last good one stands, and grows old."""
-CALM = 10
-"""Good readings in a row after which earlier odd ones are forgotten."""
-ACCEPTED = 50
-"""Readings, 1 s, that agree with each other and not with those before, after which they are
-believed: a joint that slipped brakes the robot, but it may be armed again."""
-TWICE = 0.1
-"""Seconds after the last good reading within which others may be found to go on from it."""
+_MAX_ODD = 2
+"""Most odd readings that are left out; meanwhile the last good one stays, and grows old."""
+RECOVERY = 10
+"""Good readings in a row after which earlier odd ones no longer count."""
+ACCEPTANCE = 50
+"""Readings, 1 s, after which those that agree with each other, but not with the ones before, are
+accepted. A joint that slipped brakes the robot, but it may be armed again."""
+_MAX_GAP = 0.1
+"""Longest time, s, after the last good reading in which others may continue it."""
 
 
 class Intake:
-    """Takes a robot's readings in, and keeps the newest good one."""
+    """Checks a robot's readings, and keeps the newest good one."""
 
     def __init__(self, robot: RobotSpec, cfg: SafetyCfg) -> None:
         self._robot = robot
@@ -26,20 +26,24 @@ class Intake:
         self.newest: RobotState | None = None
         """The newest good reading; None before the first."""
         self._seen: RobotState | None = None
-        """The newest whole one, good or not."""
+        """Newest well-formed reading, good or odd."""
         self._readings = Readings()
-        # Where old readings may pass, their times say too little to add up what they foretell.
-        self._timed = cfg.max_state_age <= LONGEST
+        # Where old readings are allowed, their times are too coarse to add up small differences.
+        self._timed = cfg.max_state_age <= MAX_INTERVAL
         self._broken = ""
-        """Why the newest reading does not go on from the good ones; empty if it does."""
+        """Reason why the newest reading does not continue the good ones; empty if it does."""
         self._since = 0
-        """Readings since it has not."""
+        """Readings since the break."""
         self._drifts = ""
+        """Slow contradiction among the good readings; empty if there is none."""
         self._reason = "no state from the robot"
-        self._odd = self._good = 0
+        self._odd = 0
+        """Readings that were left out."""
+        self._good = 0
+        """Good readings since the last one that was left out."""
 
     def offer(self, raw: RobotState | None, now: float) -> RobotState | None:
-        """Take a reading in at `now`, s; returns it cleaned if it is new and whole, else None."""
+        """Check a reading at `now`, s; returns it as float arrays if it is new and well-formed."""
         if raw is None:
             return None
         try:
@@ -56,13 +60,13 @@ class Intake:
             return state
         self.newest = state
         self._good += 1
-        if self._good >= CALM:
+        if self._good >= RECOVERY:
             self._odd = 0
         return state
 
     def problem(self, now: float) -> str:
-        """Why the readings so far forbid motion at `now`, s; empty if they do not."""
-        if self.newest is None or self._odd > MOST_ODD:
+        """Reason why the readings so far forbid motion at `now`, s; empty if they do not."""
+        if self.newest is None or self._odd > _MAX_ODD:
             return self._reason
         return state_problem(self.newest, self._robot, self._cfg, now) or self._drifts
 
@@ -72,31 +76,36 @@ class Intake:
         self._good = 0
 
     def _follow(self, state: RobotState) -> str:
-        """Why a reading must be left out, alone or because it does not go on from those before."""
-        last, before = self._seen, self._broken
+        """Reason why a reading must be left out: a limit, or a break with the readings before."""
+        last = self._seen
+        before = self._broken
         self._drifts = ""
         # The age is judged at every step, not here.
         problem = state_problem(state, self._robot, self._cfg, state.time)
+        # After a pause there is nothing to compare with.
         if last is None or self.newest is None or not comparable(last, state):
             self._broken = ""
             self._readings.start_over()
             return problem
         broken = break_problem(last, state)
         if not before:
-            self._broken, self._since = broken, 0
-        elif self._goes_on(state) if broken else self._since >= ACCEPTED:
+            self._broken = broken
+            self._since = 0
+        elif self._continues(state) if broken else self._since >= ACCEPTANCE:
+            # Either it continues the good readings again, or the new ones agreed for long enough.
             self._broken = ""
         else:
             self._since += 1
+        # Small differences are added up over an unbroken row of good readings only.
         if before or broken or problem or last is not self.newest or not self._timed:
             self._readings.start_over()
         else:
             self._drifts = self._readings.problem(last, state)
         return problem or self._broken
 
-    def _goes_on(self, state: RobotState) -> bool:
-        """Whether a reading goes on from the last good one."""
+    def _continues(self, state: RobotState) -> bool:
+        """True if a reading continues the last good one."""
         good = self.newest
-        return (
-            good is not None and comparable(good, state, TWICE) and not break_problem(good, state)
-        )
+        if good is None or not comparable(good, state, _MAX_GAP):
+            return False
+        return not break_problem(good, state)

@@ -1,7 +1,7 @@
-"""Whether legs are wired in the right order: each pushes in turn, and the base must lean away.
+"""Test of the legs' wiring: each leg pushes in turn, and the base must lean away from it.
 
-A leg whose motors answer to another leg's numbers, commands and readings alike, seems to obey. But
-the ground lifts the corner at which it really is.
+A leg whose motors have another leg's numbers, in commands and readings alike, seems to obey. But
+the ground lifts the corner of the base at which that leg really is.
 """
 
 import math
@@ -12,77 +12,85 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState, projected_gravity
 from renet.interface import LEGS
 
-CORNERS = {"FR": (1.0, -1.0), "FL": (1.0, 1.0), "RR": (-1.0, -1.0), "RL": (-1.0, 1.0)}
-"""Where each leg is, seen from the middle of the base: x ahead, y left."""
-REACH = 0.45
-"""Share of the way to the default pose that a leg is stretched."""
-OUT, JUDGED, BACK = 0.5, 0.7, 0.75
-"""Shares of a leg's time at which it is stretched, is judged, and goes back."""
-PUSHES = 4.0
-"""N m in its calf from which a leg pushes against something."""
-LEANS = 0.012
-"""Sine of the angle by which the base must lean then."""
-ASIDE = 0.5
-"""Least cosine between the ways in which it leans and should lean."""
-FOLLOWS = 0.5
-"""Share of its stretch that a leg in the air must make."""
+_CORNERS = {"FR": (1.0, -1.0), "FL": (1.0, 1.0), "RR": (-1.0, -1.0), "RL": (-1.0, 1.0)}
+"""Direction of each leg from the middle of the base: x forward, y left."""
+_STRETCH = 0.45
+"""Share of the way to the default pose by which a leg is stretched."""
+_STRETCHED = 0.5
+"""Share of a leg's time at which it is fully stretched."""
+_JUDGEMENT = 0.7
+"""Share at which it is judged."""
+_RETURN = 0.75
+"""Share at which it begins to go back."""
+_MIN_TORQUE = 4.0
+"""Torque of the calf, N m, from which a leg pushes against something."""
+_MIN_LEAN = 0.012
+"""Sine of the least angle by which the base must lean then."""
+_MIN_COSINE = 0.5
+"""Least cosine of the angle between the direction of the lean and the expected one."""
+_MIN_MOTION = 0.5
+"""Least share of its stretch that a leg in the air must move."""
 
 
 class LegTest:
-    """Stretches one leg after the other from the pose in which a robot lies."""
+    """Stretches one leg after the other from the pose in which a robot lies, and judges each."""
 
     def __init__(self, robot: RobotSpec, seconds: float, state: RobotState) -> None:
-        """Begin with a reading of the robot; the test takes some seconds, none if they are zero."""
+        """Begin with a reading of the robot in its lying pose; all legs together take `seconds`."""
         self._default = np.asarray(robot.default_position)
         self._each = seconds / len(LEGS)
+        """Time of each leg, s."""
         self._start = state.joint_position.copy()
         self._leg = -1
         self._judged = False
         self._lean = np.zeros(2)
+        """Gravity [2] in the plane of the base before the leg moved."""
         self.problem = ""
-        """Why the robot must not stand up; empty while nothing is found."""
+        """Reason why the robot must not stand up; empty while nothing is found."""
 
     def target(self, elapsed: float, state: RobotState) -> np.ndarray:
-        """Joint targets [12] rad at a time since the test's start, s, and a reading of then."""
+        """Joint targets [12] rad at `elapsed` seconds of the test, at which a leg may be judged."""
         leg, passed = divmod(elapsed / self._each, 1.0)
         if int(leg) != self._leg:
-            self._leg, self._judged = int(leg), False
+            self._leg = int(leg)
+            self._judged = False
             self._lean = _leaning(state)
         rows = slice(3 * self._leg, 3 * self._leg + 3)
-        if passed >= JUDGED and not self._judged:
+        if passed >= _JUDGEMENT and not self._judged:
             self._judged = True
             self.problem = self.problem or self._judge(state, rows)
         target = self._start.copy()
-        stretch = REACH * (self._default[rows] - self._start[rows])
+        stretch = _STRETCH * (self._default[rows] - self._start[rows])
         target[rows] += _smooth(passed) * stretch
         return target
 
     def _judge(self, state: RobotState, rows: slice) -> str:
-        """What a stretched leg shows to be wrong; empty if nothing."""
+        """Reason why a stretched leg contradicts the wiring; empty if it does not."""
         name = LEGS[self._leg]
         lean = _leaning(state) - self._lean
-        if abs(state.joint_torque[rows][2]) < PUSHES:  # It hangs in the air, or is limp.
-            asked = REACH * (self._default[rows] - self._start[rows])
+        # The leg hangs in the air, or is limp: it must at least follow its command.
+        if abs(state.joint_torque[rows][2]) < _MIN_TORQUE:
+            asked = _STRETCH * (self._default[rows] - self._start[rows])
             moved = state.joint_position[rows] - self._start[rows]
-            followed = float(moved @ asked) >= FOLLOWS * float(asked @ asked)
+            followed = float(moved @ asked) >= _MIN_MOTION * float(asked @ asked)
             return "" if followed else f"leg {name} does not follow: is it another one's number?"
-        # Gravity moves towards the corners that sink.
-        away = -np.array(CORNERS[name]) / math.sqrt(2.0)
+        # In the base frame gravity moves towards the corners that sink.
+        away = -np.array(_CORNERS[name]) / math.sqrt(2.0)
         size = math.hypot(*lean.tolist())
-        if size < LEANS:
+        if size < _MIN_LEAN:
             return f"leg {name} pushes, but the base does not lean: what holds it?"
-        if float(lean @ away) < ASIDE * size:
+        if float(lean @ away) < _MIN_COSINE * size:
             return f"leg {name} pushes, and another corner rises: are legs wired in another order?"
         return ""
 
 
 def _leaning(state: RobotState) -> np.ndarray:
-    """Gravity's part [2] in the plane of the base."""
+    """Components [2] of the unit gravity vector in the plane of the base."""
     return np.array(projected_gravity(state.quaternion)[:2])
 
 
 def _smooth(passed: float) -> float:
-    """How far a leg is stretched at a share of its time, 0 to 1, without a jerk."""
-    share = passed / OUT if passed < BACK else (1.0 - passed) / (1.0 - BACK)
+    """Stretch, 0 to 1, at a share of a leg's time, 0 to 1; smooth at both ends."""
+    share = passed / _STRETCHED if passed < _RETURN else (1.0 - passed) / (1.0 - _RETURN)
     share = min(max(share, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)

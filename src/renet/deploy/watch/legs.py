@@ -1,4 +1,4 @@
-"""Where a robot's feet are, and how fast they move, from the angles of its joints."""
+"""Positions and velocities of a robot's feet from the angles and speeds of its joints."""
 
 import xml.etree.ElementTree as ET
 
@@ -13,16 +13,17 @@ class Legs:
     """Kinematics of four legs, each with a hip that rolls, and a thigh and a calf that pitch."""
 
     def __init__(self, robot: Robot) -> None:
-        """Measure the legs in a robot's model.
+        """Read the lengths of the legs from a robot's model.
 
         Raises:
-            RenetError: its joints turn about other axes, a body is turned at rest, or its model
-                is no file.
+            RenetError: the joints turn about other axes, a body is rotated at rest, or the robot
+                has no model file.
         """
         if robot.mjcf is None:
             raise RenetError(f"the model of a {robot.name} is no file: give it `mjcf`")
         root = ET.parse(robot.mjcf).getroot()
         trunk = next(body for body in root.iter("body") if body.get("name") == TRUNK)
+        # [4 legs, 4 parts, 3] to four arrays [4 legs, 3] m.
         parts = [_leg(trunk, leg, robot.name) for leg in LEGS]
         self._hip, self._thigh, self._calf, self._foot = np.array(parts).swapaxes(0, 1)
 
@@ -30,18 +31,19 @@ class Legs:
         """Positions and velocities of the feet in the frame of the base.
 
         Args:
-            angles: [12] rad, of the joints. speeds: [12] rad/s, likewise.
+            angles: [12] rad, of the joints.
+            speeds: [12] rad/s, of the joints.
 
         Returns:
             [4, 3] m and [4, 3] m/s, in the order of `interface.LEGS`.
         """
         hip, thigh, calf = angles.reshape(4, 3).T
         hip_speed, thigh_speed, calf_speed = speeds.reshape(4, 3).T
-        # From the foot inwards; each joint turns all that is beyond it.
+        # From the foot inwards: each joint turns everything beyond it.
         shin = _pitched(self._foot, calf)
         shank = self._calf + shin
         leg = _pitched(shank, thigh)
-        # A pitch moves the arm beyond its joint; the thigh's own pitch turns that motion, too.
+        # The calf moves the shin; the angle of the thigh turns that motion into the hip's frame.
         knee = _pitched(_pitch_motion(shin, calf_speed), thigh)
         motion = knee + _pitch_motion(leg, thigh_speed)
         arm = self._thigh + leg
@@ -60,6 +62,7 @@ def _leg(trunk: ET.Element, leg: str, robot: str) -> list[np.ndarray]:
         if body is None or body.get("quat"):
             raise RenetError(f"the legs of a {robot} are not those of a hip, a thigh and a calf")
         offsets.append(_vector(body))
+    # The foot may be a site of a body that is fixed to the calf.
     foot = next((site for site in body.iter("site") if site.get("name") == leg), None)
     if foot is None:
         raise RenetError(f"a {robot} has no site named {leg!r} at its foot")
@@ -74,14 +77,16 @@ def _vector(element: ET.Element) -> np.ndarray:
 
 def _pitched(arm: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Arms [4, 3] turned about y by angles [4] rad."""
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     x, y, z = arm.T
     return np.stack((cosine * x + sine * z, y, cosine * z - sine * x), axis=1)
 
 
 def _rolled(arm: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Arms [4, 3] turned about x by angles [4] rad."""
-    cosine, sine = np.cos(angle), np.sin(angle)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
     x, y, z = arm.T
     return np.stack((x, cosine * y - sine * z, sine * y + cosine * z), axis=1)
 

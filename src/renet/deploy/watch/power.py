@@ -1,4 +1,4 @@
-"""A battery that is empty, motors that are hot, and what a robot says is wrong with itself."""
+"""Checks of the battery's charge, of motor temperatures, and of faults that a robot reports."""
 
 from contextlib import suppress
 
@@ -6,8 +6,8 @@ from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.checks import EMPTY, OVERHEATED, power_problem
 from renet.deploy.safety.limits import SafetyCfg
 
-IN_A_ROW = 3
-"""Readings that must say so: single ones arrive damaged."""
+_CONFIRMATIONS = 3
+"""Readings in a row that must agree: single ones may be damaged on the way."""
 
 
 class PowerWatch:
@@ -16,26 +16,30 @@ class PowerWatch:
     def __init__(self, cfg: SafetyCfg) -> None:
         self._cfg = cfg
         self._newest: float | None = None
-        self._warned = self._ended = 0
+        self._warned = 0
+        """Readings in a row near the limits."""
+        self._ended = 0
+        """Readings in a row at which the robot must lie down."""
         self.warning = ""
-        """What the operator is to know; empty while there is nothing."""
+        """Message to the operator; empty while there is nothing to say."""
         self.end = ""
-        """Why the robot must lie down; empty while it need not."""
+        """Reason why the robot must lie down; empty while it need not."""
 
     def look(self, state: RobotState | None) -> None:
-        """Take in the newest reading; the same one again counts once."""
+        """Check the newest reading; the same one again counts once."""
         time = getattr(state, "time", None)  # A driver's object may be anything.
         if time is None or time == self._newest:
             return
         self._newest = time
         cfg = self._cfg
-        warning = end = ""
+        warning = ""
+        end = ""
         with suppress(TypeError):  # What a driver reports may be no number.
             warning = power_problem(state, cfg.min_battery, cfg.max_temperature)
-            limits = min(EMPTY, cfg.min_battery), cfg.max_temperature + OVERHEATED
-            end = power_problem(state, *limits)
+            lowest = min(EMPTY, cfg.min_battery)
+            end = power_problem(state, lowest, cfg.max_temperature + OVERHEATED)
         end = end or getattr(state, "fault", "")
         self._warned = self._warned + 1 if warning else 0
         self._ended = self._ended + 1 if end else 0
-        self.warning = warning if self._warned >= IN_A_ROW else ""
-        self.end = end if self._ended >= IN_A_ROW else ""
+        self.warning = warning if self._warned >= _CONFIRMATIONS else ""
+        self.end = end if self._ended >= _CONFIRMATIONS else ""
