@@ -21,7 +21,7 @@ from renet.errors import RenetError
 
 CYCLONEDDS = "11.0.1"
 """The only version whose private attributes this has been tried with."""
-CONFIG = (
+INTERFACE_CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="{}" '
     'multicast="true"/></Interfaces></General></Domain></CycloneDDS>'
 )
@@ -36,7 +36,7 @@ ANNOUNCED = 2.0
 @cache
 def _join(domain: int, interface: str) -> Domain:
     """The domain, for as long as the process lives; it has one interface only."""
-    return Domain(domain, CONFIG.format(interface))
+    return Domain(domain, INTERFACE_CONFIG.format(interface))
 
 
 class Network:
