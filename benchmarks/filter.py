@@ -20,9 +20,9 @@ import tyro
 from facts import errors_in_one_line
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.env import FLAT
+from renet.evaluation.env import FLAT_GROUND
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.monitor_log import replay
+from renet.evaluation.monitor_log import replay_selector
 from renet.evaluation.rollout import Trial, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
@@ -86,7 +86,7 @@ class FilterStudy(Study):
         flicker = (Injection("gaussian", 1.0, onset, duration=0.1, period=0.4),)
         robots = range(self.robots_each)
         trials = [Trial("blind", fault, robot) for fault in (steady, flicker) for robot in robots]
-        env = evaluator.make_env(FLAT, [*robots, *robots], self.speed, self.seed)
+        env = evaluator.make_env(FLAT_GROUND, [*robots, *robots], self.speed, self.seed)
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{len(trials)} robots walk")
         return {"scores": trace.anomaly}
@@ -105,7 +105,7 @@ class FilterStudy(Study):
     def _run(self, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:
         """Delay on the cameras that fail, switches on those that flicker."""
         onset, each = round(self.onset / CONTROL_DT), self.robots_each
-        trusted = replay(make_selector("switch", spec, scores.shape[1]), scores)
+        trusted = replay_selector(make_selector("switch", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
         updates = trusted[onset - 1 :, :, each:].reshape(-1, each)
         switched = np.diff(updates, axis=0).sum(axis=0)

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 
 from renet.cli import COMMANDS, Command, main
 from renet.evaluation import metrics
-from renet.evaluation.env import FLAT
+from renet.evaluation.env import FLAT_GROUND
 from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Study
 from renet.interface import CONTROL_DT
@@ -29,7 +29,7 @@ class SpeedStudy(Study):
         return {f"speed_{s:g}": lambda s=s: self.walk(evaluator, s) for s in self.speeds}
 
     def walk(self, evaluator, speed):
-        env = evaluator.make_env(FLAT, range(self.robots), speed, self.seed)
+        env = evaluator.make_env(FLAT_GROUND, range(self.robots), speed, self.seed)
         trials = [Trial("memory", robot=robot) for robot in range(self.robots)]
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{speed:g} m/s")

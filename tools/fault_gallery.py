@@ -94,7 +94,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         where = Provenance("no policy", "", "MuJoCo", SEED)
         drawn, path = draw_gallery(list(FAULTS), SEED), Path(folder) / "faults.png"
-        picture = Image.open(figures.save(drawn, path, where))
+        picture = Image.open(figures.save_figure(drawn, path, where))
         height = round(picture.height * WIDTH / picture.width)
         picture.convert("RGB").resize((WIDTH, height), Image.Resampling.LANCZOS).save(
             OUT, quality=60

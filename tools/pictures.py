@@ -80,7 +80,7 @@ def main(cfg: Cfg) -> None:
     drawn["height_map.png"] = draw_height_maps(np.stack(maps), kinds)
     out, provenance = output_folder(cfg.out), evaluator.provenance(cfg.seed)
     for name, figure in drawn.items():
-        figures.save(figure, out / name, provenance, dpi=80)
+        figures.save_figure(figure, out / name, provenance, dpi=80)
     content = {"runs": errors(np.stack(maps), kinds), "settings": asdict(cfg)}
     write_json(out / "summary.json", content | {"provenance": vars(provenance)})
     print(f"Results: {out}")

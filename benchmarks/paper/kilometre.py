@@ -22,11 +22,11 @@ import torch
 import tyro
 
 from renet.errors import RenetError
-from renet.evaluation.benchmark.modes import MODES
+from renet.evaluation.benchmark.modes import ROLLOUT_MODES
 from renet.evaluation.benchmark.walking import CAMERA_NOISE, SUNK, course_env_cfg
 from renet.evaluation.env import SimEnv
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import grouped
+from renet.evaluation.results import group_by
 from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Part, Study, Table
 from renet.evaluation.trace import StepResult, Trace
@@ -274,7 +274,9 @@ class KilometreStudy(Study):
         seed = self.seed + 100 * number
         sim = evaluator.make_env(cfg, robots, SPEED, seed, camera_noise=CAMERA_NOISE)
         env = LapEnv(sim, lap)
-        trials = [Trial(MODES[mode], (), n) for mode in self.modes for n in range(self.robots)]
+        trials = []
+        for mode in self.modes:
+            trials += [Trial(ROLLOUT_MODES[mode], (), n) for n in range(self.robots)]
         rollout = evaluator.rollout(env, trials, seed)
         rollout.injector = SectionFaults(env, lap, robots, seed)
         over: list[np.ndarray] = []
@@ -299,7 +301,7 @@ class KilometreStudy(Study):
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """A row for each robot and lap; totals by mode, and ends by section."""
         runs = [run for part in parts.values() for run in part["runs"]]
-        groups = {mode: group for (mode,), group in grouped(runs, "mode").items()}
+        groups = {mode: group for (mode,), group in group_by(runs, "mode").items()}
         return {
             "runs": runs,
             "totals": {mode: total(group) for mode, group in groups.items()},

@@ -7,7 +7,7 @@ import pytest
 
 from renet.bundle import write_bundle
 from renet.evaluation import calibrate_memory
-from renet.evaluation.calibrate_memory import MEASURED, MEMORY, compare
+from renet.evaluation.calibrate_memory import MEASURED, MEMORY, limits_of_trace
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Rollout
 from renet.evaluation.trace import Trace
@@ -16,7 +16,7 @@ ROBOTS, STEPS = 400, 500
 
 
 def test_robots_walk_from_memory_and_twins_with_op(tmp_path, models, manifest, monkeypatch):
-    monkeypatch.setattr(calibrate_memory, "DIES", (0.1, 0.2))
+    monkeypatch.setattr(calibrate_memory, "BLACKOUT_RANGE", (0.1, 0.2))
     monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
     spec = replace(manifest.selector, beta=0.25, longest_memory=0.1)
     path = write_bundle(tmp_path / "b", models, replace(manifest, selector=spec))
@@ -48,10 +48,10 @@ def test_limits_of_a_run_whose_robots_fall_where_they_err_or_never():
     late = walk(np.where(error > 0.3, 0.02, 0.0005))
     late.map_error[:, :ROBOTS] = error
     ground = np.arange(ROBOTS) % 7
-    thresholds, longest = compare(late, dies, ground)
+    thresholds, longest = limits_of_trace(late, dies, ground)
     # Half a second before the falls: 25 steps, 0.025 m.
     assert thresholds[MEMORY] == pytest.approx(0.275, abs=0.02)
     assert longest == pytest.approx(250 * 0.02, abs=0.3)
     never = walk(np.full((STEPS, ROBOTS), 0.0005))
     never.map_error[:, :ROBOTS] = error
-    assert compare(never, dies, ground) == ({}, MEASURED)
+    assert limits_of_trace(never, dies, ground) == ({}, MEASURED)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from renet.errors import RenetError
-from renet.evaluation.conditions import Disturbances, as_trained
+from renet.evaluation.conditions import Disturbances, use_training_conditions
 from renet.evaluation.env import SimEnv, study_env_cfg, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.trace import StepResult
@@ -25,7 +25,7 @@ SLICES = proprioception_slices()
 def config(trained=None):
     """Flat ground under the conditions of the Go1's training."""
     cfg = terrain_env_cfg("flat", VISUAL_GO1)
-    as_trained(cfg, trained or env_cfg("Renet-Go1-Parkour"))
+    use_training_conditions(cfg, trained or env_cfg("Renet-Go1-Parkour"))
     return study_env_cfg(cfg, 0.6)
 
 
@@ -96,7 +96,7 @@ def test_a_push_changes_the_velocity_of_twins_by_what_was_drawn(world, monkeypat
 
 def test_pushes_come_at_trainings_intervals_and_speeds():
     cfg = config()
-    disturbances = Disturbances.taken_from(cfg)
+    disturbances = Disturbances.extract(cfg)
     assert "push" not in cfg.events
     disturbances.restart(50, 1)
     times, changes = [[] for _ in range(50)], []

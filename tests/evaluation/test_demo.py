@@ -93,7 +93,7 @@ def check_page(path, media: int) -> str:
 
 def test_the_page_says_what_was_measured_and_needs_no_network(tmp_path, monkeypatch):
     monkeypatch.setattr(painter, "PANEL", (120, 90))
-    monkeypatch.setattr(demo, "SHOWN", (0.2, 0.6))
+    monkeypatch.setattr(demo, "FILM_SPAN", (0.2, 0.6))
     sentence = run_demo(DemoStudy(tmp_path, robots=3, seconds=3.4), GapEvaluator(9.0))
     assert sentence == (
         "The camera dies 0.5 s before a gap of 37 cm: of 3 robots each cross 0 in mode switch,"
@@ -117,8 +117,8 @@ def test_the_film_says_who_fell_and_who_crossed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(painter, "PANEL", (120, 90))
     monkeypatch.setattr(video, "_write_outcome", write)
-    monkeypatch.setattr(demo, "MARGIN", -0.5)
-    monkeypatch.setattr(demo, "SHOWN", (0.2, 1.2))
+    monkeypatch.setattr(demo, "GOAL_MARGIN", -0.5)
+    monkeypatch.setattr(demo, "FILM_SPAN", (0.2, 1.2))
     run_demo(DemoStudy(tmp_path, robots=1, seconds=3.4), GapEvaluator(9.0))
     assert written == {"fell", "crossed"}
 
@@ -140,7 +140,7 @@ def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
 
 
 def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypatch):
-    monkeypatch.setattr(demo, "SHOWN", (1.0, 4.0))
+    monkeypatch.setattr(demo, "FILM_SPAN", (1.0, 4.0))
     study, end = DemoStudy(speed=0.6), 160
     steps = study.pace(Trace.empty(end, 1))
     assert study.onset == 75

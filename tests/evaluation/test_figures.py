@@ -16,5 +16,5 @@ def test_a_name_that_looks_like_a_formula_is_drawn_as_it_is(tmp_path):
         axis.plot([0, 1], label=ODD)
         axis.set_title(ODD)
         figures.legend(figure, axis)
-        path = figures.save(figure, tmp_path / "odd.png", provenance)
+        path = figures.save_figure(figure, tmp_path / "odd.png", provenance)
     assert ODD in Image.open(path).text["Description"]

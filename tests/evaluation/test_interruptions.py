@@ -20,7 +20,7 @@ from .fakes import FakeEvaluator
 
 SIMULATED = ["--terrains", "flat", "--robots", "2", "--seconds", "2"]
 """A calibration that is over at once: a healthy run, and one through grass."""
-PHASES = [(Rollout, "run"), (results, "write_json"), (study, "write_csv"), (figures, "save")]
+PHASES = [(Rollout, "run"), (results, "write_json"), (study, "write_csv"), (figures, "save_figure")]
 
 
 def interrupt(monkeypatch, owner, name: str, call: int = 1, number: int = signal.SIGINT) -> None:

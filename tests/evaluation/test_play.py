@@ -10,7 +10,7 @@ from renet.bundle import Bundle, pretrained
 from renet.errors import RenetError
 from renet.evaluation import painter
 from renet.evaluation.env import robot_of
-from renet.evaluation.play import PlayCfg, opened, run_play
+from renet.evaluation.play import PlayCfg, bundle_folder, run_play
 from renet.robots import GO1
 from renet.tasks import VISUAL_GO1
 
@@ -59,12 +59,12 @@ def test_a_robot_without_visual_meshes_is_seen(name, monkeypatch):
 
 
 def test_a_checkpoint_becomes_a_bundle_for_as_long_as_it_is_open():
-    with opened(CHECKPOINT) as folder:
+    with bundle_folder(CHECKPOINT) as folder:
         assert folder is not None
         assert Bundle.load(folder).manifest.robot.name == "Unitree Go1"
         assert robot_of(Bundle.load(folder).manifest) == VISUAL_GO1
     assert not folder.exists()
-    with opened(None) as folder:
+    with bundle_folder(None) as folder:
         assert folder is None
 
 

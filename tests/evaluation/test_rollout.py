@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.monitor_log import MonitorLog, replay, successful_runs
+from renet.evaluation.monitor_log import MonitorLog, replay_selector, successful_runs
 from renet.evaluation.rollout import Rollout, Trial
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
@@ -131,7 +131,7 @@ def test_monitors_notice_what_the_papers_rule_cannot(fault, level, delay):
     flat = trace.trusted.reshape(-1, 2)
     assert (~flat[:, 0]).argmax() == pytest.approx((1.0 + delay) * 200 - 1, abs=1.01)
     assert flat[:, 1].all()
-    assert replay(make_selector("switch", SPEC, 2), trace.anomaly).all()
+    assert replay_selector(make_selector("switch", SPEC, 2), trace.anomaly).all()
     # Back a second after the fault is over, not before.
     back = flat[600:, 0].argmax() / 200
     assert 0.95 <= back <= 1.25

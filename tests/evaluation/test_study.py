@@ -13,9 +13,9 @@ import pytest
 from renet import cli
 from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.errors import RenetError
-from renet.evaluation.env import FLAT, terrain_env_cfg
+from renet.evaluation.env import FLAT_GROUND, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.results import MAX_JSON, Provenance, read_results, write_summary
+from renet.evaluation.results import MAX_RESULT_SIZE, Provenance, read_results, write_summary
 from renet.registry import register_tasks
 from renet.tasks import VISUAL_GO1
 from renet.tasks.sensors import DEPTH_CAMERA
@@ -85,9 +85,9 @@ def test_a_study_walks_the_bundles_own_robot_whose_cameras_err_as_in_training(tm
     twin = replace(manifest, robot=robot, provenance=origin, camera=camera)
     write_manifest(tmp_path / "twin", twin)
     evaluator = Evaluator(tmp_path / "twin")
-    for terrain in (FLAT, {"stairs_up": 3}):
+    for terrain in (FLAT_GROUND, {"stairs_up": 3}):
         assert terrain_env_cfg(terrain, evaluator.robot).robot.name == "Somebody's Go1"
-    env = evaluator.make_env(FLAT, range(2), 0.6, 1)
+    env = evaluator.make_env(FLAT_GROUND, range(2), 0.6, 1)
     assert env.env.cfg.robot.name == "Somebody's Go1"
     assert env.env.scene[DEPTH_CAMERA].cfg.noise.gaussian_std == 0.02
     refusal = "bundle twin drives a Somebody's Go1, this task's robot is a Unitree Go1"
@@ -167,7 +167,7 @@ def test_settings_that_measure_nothing_are_refused(study, wrong, message):
 def test_files_that_are_no_results_are_refused(tmp_path):
     huge = tmp_path / "huge.json"
     huge.touch()
-    os.truncate(huge, MAX_JSON + 1)
+    os.truncate(huge, MAX_RESULT_SIZE + 1)
     wrong = {huge: "at most 64 MB", tmp_path: "s a directory", tmp_path / "x": "run"}
     for path, message in wrong.items():
         with pytest.raises(RenetError, match=message):

@@ -173,7 +173,7 @@ def test_opening_scene_is_one_that_the_bundle_can_walk():
 
 def test_bundles_are_called_by_their_robot_and_by_name_among_several():
     go1 = Bundle.load()
-    other = replace(go1, name="mine")
+    other = replace(go1, path=Path("mine"))
     (alone, go2) = contract([go1, Bundle.load("go2-parkour")])["bundles"]
     assert (alone["title"], go2["title"]) == ("Go1", "Go2")
     titles = [one["title"] for one in contract([go1, other])["bundles"]]

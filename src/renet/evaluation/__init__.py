@@ -1,1 +1,1 @@
-"""How good a bundle is: fault models, closed-loop rollouts, studies, figures and pages."""
+"""Evaluation of bundles: closed-loop rollouts under camera faults, studies, figures and tables."""

@@ -1,6 +1,6 @@
-"""`renet calibrate`: measure the selector's thresholds on healthy runs and store them.
+"""Calibration of the selector's thresholds on healthy runs: `renet calibrate`.
 
-From recordings this needs nothing but the runtime.
+Calibration from recordings imports the runtime only, no simulator.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from renet.deploy.recording.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
-from renet.evaluation.rollout import FLAT, PARKOUR, Trial, check_finite, check_speed
+from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, Trial, check_finite, check_speed
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, TICK_DT, Engine
 from renet.selector.calibration import calibrate, calibrate_monitors
@@ -31,33 +31,35 @@ if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
 SPARSE_GRASS = 2
-"""Severity of `tall_grass`: the variance detector learns blades up to this density."""
+"""Severity of `tall_grass` up to which the variance detector learns to accept blades."""
 IN_SPARSE_GRASS = 0.98
-"""Share of the runs through sparse grass in which a monitor does not object."""
+"""Share of the runs through sparse grass that a monitor accepts."""
 Series = dict[str, list[np.ndarray]]
 """Scores [T] of each unbroken run, by monitor."""
 
 
 @dataclass(frozen=True)
 class CalibrateCfg:
-    """How β and the monitors' thresholds are measured: from episodes that succeed, cameras healthy.
+    """Measure β and the monitors' thresholds on successful episodes with healthy cameras.
 
-    β is the paper's; the monitors of the mode `memory` get thresholds of their own.
+    β is the paper's; the monitors of mode memory have thresholds of their own.
     """
 
     bundle: tyro.conf.Positional[Path]
-    """Bundle folder; its manifest gets β and the thresholds."""
+    """Bundle folder; β and the thresholds are written to its manifest."""
     log: tuple[Path, ...] = ()
     """Recordings of your own robot and healthy camera, to be used in place of simulated runs."""
     images: Path | None = None
     """Folder of depth images of your own healthy camera on a walk, in place of simulated runs: PNG
-    of 16 bits, one every 0.1 s, in the order of their names. Only monitors of images learn."""
+    of 16 bits, one every 0.1 s, in the order of their names. Only monitors of images are
+    calibrated."""
     scale: float = 0.001
-    """Metres of one step of the values of `--images`."""
+    """Metres per unit of the values of `--images`."""
     lens: tuple[float, float, float, float] | None = None
-    """Lens of `--images`, pixels: FX FY CX CY; by default of a view of 87 degrees, undistorted."""
+    """Lens of `--images`, pixels: FX FY CX CY; by default that of an undistorted view of 87
+    degrees."""
     robots: int = 120
-    """Robots on each terrain."""
+    """Number of robots on each terrain."""
     seconds: float = 30.0
     """Simulated time of each robot."""
     speed: float = 0.6
@@ -67,13 +69,13 @@ class CalibrateCfg:
     levels: int = 10
     """Highest terrain level, 1 to 10; episodes that fail do not count."""
     false_alarm: float = 0.0
-    """0: the paper's rule, β is the largest score. Otherwise β is exceeded by a healthy frame with
-    at most this probability (split conformal)."""
+    """0: the paper's rule, β is the largest score. Otherwise a healthy frame exceeds β with at most
+    this probability (split conformal)."""
     false_alarms_per_hour: float = 0.5
-    """How often all monitors together may make a healthy robot leave vision."""
+    """False alarms per hour, of all monitors together, that are allowed on a healthy robot."""
     sparse_grass: bool = True
-    """Judge images by the variance of a model that predicts one, not by the reconstruction; lift
-    thresholds, at most twofold, until each monitor accepts 49 of 50 walks through grass."""
+    """Judge images by the model's predicted variance, if it has one, not by the reconstruction, and
+    raise thresholds, at most twofold, until each monitor accepts 49 of 50 walks through grass."""
     seed: int = 7
     """Seed of the robots' starts."""
     engine: Engine = "auto"
@@ -88,10 +90,10 @@ class CalibrateCfg:
 
 
 def run_calibrate(cfg: CalibrateCfg) -> float:
-    """Measure β and the monitors' thresholds, write them into the manifest and return β.
+    """Measure β and the monitors' thresholds, write them to the manifest and return β.
 
     Raises:
-        RenetError: a bundle or a log that cannot be used, or a policy that never succeeds.
+        RenetError: a bundle or a log cannot be used, or the policy never succeeds.
     """
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
@@ -102,57 +104,86 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
         series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle)
     else:
         series = recorded_scores(cfg.log, bundle)
-    # Thresholds of what was not recorded stay.
-    spec, names = bundle.manifest.selector, {MEMORY} | (MONITORS.keys() - series.keys())
-    kept = {name: limit for name, limit in spec.thresholds.items() if name in names}
-    return _store(cfg, bundle, series, {}, (kept, spec.longest_memory))
+    # Monitors of what was not recorded keep their thresholds.
+    spec = bundle.manifest.selector
+    names = {MEMORY} | (MONITORS.keys() - series.keys())
+    unchanged = {name: limit for name, limit in spec.thresholds.items() if name in names}
+    return _store(cfg, bundle, series, {}, (unchanged, spec.longest_memory))
 
 
 def _store(
     cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, memory: Memory
 ) -> float:
-    """Learn thresholds, and β without the `grassy` runs; write them into the manifest, return β."""
+    """Compute thresholds and β, write them to the manifest, print them and return β.
+
+    Args:
+        cfg: settings.
+        bundle: the bundle to write to.
+        series: healthy scores by monitor.
+        grassy: healthy scores in sparse grass by monitor; β does not depend on them.
+        memory: limits of memory.
+    """
+    limits, longest = memory
+    # Healthy runs do not tell how long memory is good, and the variance may replace a monitor.
+    without = {MEMORY}
+    if cfg.sparse_grass and bundle.predicts_variance:
+        without.add("reconstruction")
+    calibrated = {name: runs for name, runs in series.items() if name not in without}
+    thresholds, hours = calibrate_monitors(calibrated, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
+    _accept_grass(thresholds, grassy)
     scores = np.concatenate(series["reconstruction"])
-    # Healthy runs say nothing of how stale a memory may be.
-    replaced = {"reconstruction"} if cfg.sparse_grass and bundle.predicts_variance else set()
-    series = {name: runs for name, runs in series.items() if name not in {MEMORY, *replaced}}
-    thresholds, hours = calibrate_monitors(series, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
-    for name, runs in grassy.items():
-        if name in thresholds and runs:
-            passes = float(np.quantile([run.max() for run in runs], IN_SPARSE_GRASS))
-            # A detector that has not learned grass yet must still notice other things.
-            twofold = max(2.0 * thresholds[name], 0.5 * thresholds[name])  # It may be negative.
-            passes = min(passes, MONITORS[name].ceiling, twofold)
-            thresholds[name] = max(thresholds[name], passes)
     beta = calibrate(scores, cfg.false_alarm)
-    rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
-    source = f"{len(cfg.log)} recording(s)" if cfg.log else f"successful episodes, seed {cfg.seed}"
-    source = "images" if cfg.images else source
-    how = f"{rule} of {len(scores)} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
-    manifest, (limits, longest) = bundle.manifest, memory
+    description = _description(cfg, len(scores))
     selector = replace(
-        manifest.selector,
+        bundle.manifest.selector,
         beta=beta,
-        calibration=how,
+        calibration=description,
         thresholds=thresholds | limits,
         longest_memory=longest,
         false_alarms_per_hour=cfg.false_alarms_per_hour,
         healthy_hours=hours,
     )
-    write_manifest(bundle.path, replace(manifest, selector=selector))
-    print(f"beta {beta:.6g} ({how}) written to {bundle.path}")
+    write_manifest(bundle.path, replace(bundle.manifest, selector=selector))
+    print(f"beta {beta:.6g} ({description}) written to {bundle.path}")
     if longest:
         limit = f"expects an error of {limits[MEMORY]:.2g} m or " if MEMORY in limits else ""
         print(f"VP drives from memory until it {limit}has had no image for {longest:.3g} s")
     rate = f"{cfg.false_alarms_per_hour:g} false alarms per hour"
     title = f"Thresholds for {rate}, from {hours:.2f} healthy robot hours"
-    rows = [(name, f"{value:.4g}") for name, value in thresholds.items()]
+    rows = []
+    for name, value in thresholds.items():
+        rows.append((name, f"{value:.4g}"))
     show(title, ("monitor", "threshold"), rows)
     return beta
 
 
+def _accept_grass(thresholds: dict[str, float], grassy: Series) -> None:
+    """Raise thresholds until monitors accept most runs through sparse grass, in place."""
+    for name, runs in grassy.items():
+        if name not in thresholds or not runs:
+            continue
+        passes = float(np.quantile([run.max() for run in runs], IN_SPARSE_GRASS))
+        # A detector that has not learned grass yet must still notice other faults. A threshold may
+        # be negative: then half of it is the higher one.
+        twofold = max(2.0 * thresholds[name], 0.5 * thresholds[name])
+        passes = min(passes, MONITORS[name].ceiling, twofold)
+        thresholds[name] = max(thresholds[name], passes)
+
+
+def _description(cfg: CalibrateCfg, count: int) -> str:
+    """Text in the manifest on the origin of β, from `count` scores."""
+    if cfg.images:
+        source = "images"
+    elif cfg.log:
+        source = f"{len(cfg.log)} recording(s)"
+    else:
+        source = f"successful episodes, seed {cfg.seed}"
+    rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
+    return f"{rule} of {count} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
+
+
 def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory]:
-    """The bundle, every monitor's scores in successful episodes, without and with grass; memory."""
+    """Bundle, scores in successful episodes without and with grass, and limits of memory."""
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 
@@ -162,45 +193,48 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory
             f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
             f" between 1 and {LEVELS}"
         )
-    if not cfg.terrains or not {*cfg.terrains} <= {FLAT, PARKOUR}:
-        raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT}, {PARKOUR}")
+    if not cfg.terrains or not {*cfg.terrains} <= {FLAT_GROUND, PARKOUR}:
+        raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT_GROUND}, {PARKOUR}")
     check_speed(cfg.speed)
-    # A folder, not the name of a bundle that ships: that one is not written to.
+    # An absolute path is never the name of a bundle that comes with renet, which is read-only.
     evaluator = Evaluator(cfg.bundle.absolute(), cfg.engine)
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
     through_grass = cfg.sparse_grass and evaluator.bundle.predicts_variance
     grassy = _healthy_runs(cfg, evaluator, grass=True) if through_grass else {}
-    memory: Memory = {}, 0.0
+    memory: Memory = ({}, 0.0)
     if evaluator.bundle.manifest.selector.longest_memory:
         memory = memory_limits(evaluator, 3 * cfg.robots, cfg.levels, cfg.speed, cfg.seed)
     return evaluator.bundle, series, grassy, memory
 
 
 def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:
-    """Every monitor's scores in the successful episodes on all terrains, by name.
+    """Scores of every monitor in the successful episodes on all terrains, by name.
 
-    VP is in charge throughout; with `grass` all walk through sparse grass.
+    Robots walk in mode camera; with `grass`, all of them through sparse grass.
     """
     from renet.tasks.parkour_env_cfg import parkour_env_cfg
     from renet.terrain.tiles import tiles
 
-    robots, steps = np.arange(cfg.robots), round(cfg.seconds / CONTROL_DT)
+    robots = np.arange(cfg.robots)
+    steps = round(cfg.seconds / CONTROL_DT)
     faults = (Injection.of("tall_grass", SPARSE_GRASS, onset=0),) if grass else ()
     trials = [Trial("camera", faults, int(robot)) for robot in robots]
     series: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
-        tiled = terrain == PARKOUR
-        # Tiles of the paper's preset: studies are to judge on others.
-        task = parkour_env_cfg(play=True, robot=evaluator.robot) if tiled else terrain
+        on_tiles = terrain == PARKOUR
+        # Tiles of the paper's preset, so that studies, which have others, judge on unseen ones.
+        task = parkour_env_cfg(play=True, robot=evaluator.robot) if on_tiles else terrain
         env = evaluator.make_env(task, range(cfg.robots), cfg.speed, cfg.seed)
-        if tiled:
+        if on_tiles:
             env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))
         rollout = evaluator.rollout(env, trials, cfg.seed)
         rollout.on_update = log = MonitorLog(cfg.robots)
         trace = rollout.run(steps, terrain)
         for name, runs in healthy_series(log, trace, cfg.speed).items():
-            # A robot's first image stands in for the one before it, too: the same blades twice.
-            series[name] += [run[1:] for run in runs if len(run) > 1] if grass else runs
+            if grass:
+                # The first image stands for the one before it, too: its blades would count twice.
+                runs = [run[1:] for run in runs if len(run) > 1]
+            series[name] += runs
     return series

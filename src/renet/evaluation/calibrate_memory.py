@@ -1,4 +1,4 @@
-"""How stale VP's memory of the ground may be: `renet calibrate` compares it with OP."""
+"""Limits of VP's memory of the ground, from a comparison with OP: `renet calibrate`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from renet.evaluation.rollout import Rollout, Trial, pilot_modes
+from renet.evaluation.rollout import Rollout, Trial, pilot_modes, robot_numbers
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
 from renet.pilot import Pilot
@@ -22,44 +22,53 @@ if TYPE_CHECKING:
 MEMORY = "map_error"
 """The monitor of VP's memory."""
 Memory = tuple[dict[str, float], float]
-"""Its threshold, if there is one, and the longest time without an image, s."""
-DIES = 0.5, 3.0
-"""Between these times after its start, s, each robot's camera goes black for good."""
+"""Threshold of that monitor, if there is one, and the longest time without an image, s."""
+BLACKOUT_RANGE = (0.5, 3.0)
+"""Range of the times after the start at which cameras go black for good, s."""
 MEASURED = 10.0
-"""Seconds without an image that are simulated: who has gone so far has left its tile."""
-WARNED = 0.5
-"""Seconds before a fall at which the memory that led to it is judged."""
+"""Time without an image that is simulated, s: a robot that walks so long has left its tile."""
+_WARNING_TIME = 0.5
+"""Time before a fall at which the memory that led to it is judged, s."""
 
 
 def memory_limits(
     evaluator: Evaluator, robots: int, levels: int, speed: float, seed: int
 ) -> Memory:
-    """Limits of memory: an expected error of the map, and seconds without an image.
+    """Measure limits of memory: a predicted error of the map, and a time without an image.
 
-    From there on OP falls less often. Robots whose cameras die walk from memory, their twins with
-    OP all the while, in one try on every kind and level of tile. Where OP is never better, there is
-    no threshold, and memory may last as long as was measured.
+    Beyond a limit OP falls less often than VP does from memory. Robots whose cameras die walk in
+    mode memory, their twins in mode blind, in one try on every kind and level of tile. If OP is
+    never better, there is no threshold, and memory may last as long as was measured.
 
     Args:
-        evaluator: of the bundle. robots: number of robots. levels: highest level, 1 to 10.
-        speed: commanded, m/s. seed: of the robots and of when cameras die.
+        evaluator: evaluator of the bundle.
+        robots: number of robots.
+        levels: highest level, 1 to 10.
+        speed: commanded speed, m/s.
+        seed: seed of the robots and of the times at which cameras die.
     """
     # Only the runtime is needed to calibrate from recordings.
     from renet.tasks.parkour_env_cfg import parkour_env_cfg
     from renet.terrain.tiles import tiles
 
     numbers = np.arange(robots)
-    earliest, latest = (round(seconds / CONTROL_DT) for seconds in DIES)
+    earliest = round(BLACKOUT_RANGE[0] / CONTROL_DT)
+    latest = round(BLACKOUT_RANGE[1] / CONTROL_DT)
     dies = np.random.default_rng(seed).integers(earliest, latest, robots)
-    blackouts = [(Injection.of("blackout", 5, int(step)),) for step in dies]
-    trials = [Trial("memory", blackouts[n], n) for n in numbers.tolist()]
-    trials += [Trial("blind", (), n) for n in numbers.tolist()]
+    trials = []
+    for number, step in enumerate(dies.tolist()):
+        trials.append(Trial("memory", (Injection.of("blackout", 5, step),), number))
+    trials += [Trial("blind", (), number) for number in range(robots)]
     task = parkour_env_cfg(play=True, robot=evaluator.robot)
-    env = evaluator.make_env(task, [trial.robot for trial in trials], speed, seed)
-    kinds, level = numbers % len(tiles()), numbers // len(tiles()) % levels
+    env = evaluator.make_env(task, robot_numbers(trials), speed, seed)
+    # All kinds of tile at a level, then those at the next one.
+    kinds = numbers % len(tiles())
+    level = numbers // len(tiles()) % levels
     env.place(np.tile(level, 2), np.tile(kinds, 2))
+    # Memory has no limits of its own in this run; the other monitors judge as ever.
     spec = evaluator.bundle.manifest.selector
-    others = {name: limit for name, limit in spec.thresholds.items() if name != MEMORY}
+    others = dict(spec.thresholds)
+    others.pop(MEMORY, None)
     endless = replace(spec, thresholds=others, longest_memory=LONGEST_MEMORY)
     selectors = {"memory": make_selector("memory", endless, len(trials))}
     pilot = Pilot(evaluator.make_policy(len(trials)), selectors, pilot_modes(trials))
@@ -67,30 +76,36 @@ def memory_limits(
     steps = latest + round(MEASURED / CONTROL_DT)
     trace = rollout.run(steps, "memory", until_ended=0, retire=True)
     # Two levels of a kind are one ground.
-    return compare(trace, dies, kinds * levels + level // 2)
+    return limits_of_trace(trace, dies, kinds * levels + level // 2)
 
 
-def compare(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memory:
-    """Limits from a run.
+def limits_of_trace(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memory:
+    """Limits of memory from a run.
 
     Args:
-        trace: of N robots that walk from memory, then of their N twins with OP.
-        dies, ground: control step at which each camera dies, and number of its ground, [N].
+        trace: trace of N robots in mode memory, then of their N twins in mode blind.
+        dies: control step at which each camera dies, [N].
+        ground: number of each robot's ground, [N].
     """
-    steps, count = np.arange(len(trace.over))[:, None], len(dies)
+    count = len(dies)
+    steps = np.arange(len(trace.over))[:, None]
+    # [T, 2N] bool: the first try goes on, and it ends by a fall.
     walks = np.vstack([np.ones((1, 2 * count), bool), ~trace.over[:-1]])
     falls = walks & trace.fell
-    begun = steps >= dies
-    blind_walks, blind_falls = (
-        np.bincount(ground, (begun & values[:, count:]).sum(axis=0)) for values in (walks, falls)
-    )
+    blackout = steps >= dies
+    # Falls per step in mode blind on each ground, after the time at which the twin's camera dies.
+    blind_walks = np.bincount(ground, (blackout & walks[:, count:]).sum(axis=0))
+    blind_falls = np.bincount(ground, (blackout & falls[:, count:]).sum(axis=0))
     rate = blind_falls / np.maximum(blind_walks, 1)
-    moments = begun & walks[:, :count]
+    # The steps of robots in mode memory without an image, flat: [M].
+    moments = blackout & walks[:, :count]
     expected = np.broadcast_to(rate[ground], moments.shape)[moments]
     fell = falls[:, :count][moments]
-    earlier = round(WARNED / CONTROL_DT)
+    # The map's predicted error some time before each step.
+    earlier = round(_WARNING_TIME / CONTROL_DT)
     error = np.vstack([trace.map_error[:1, :count].repeat(earlier, 0), trace.map_error[:, :count]])
     limit = stale_above(error[: len(steps)][moments], fell, expected)
     without = np.broadcast_to((steps - dies) * CONTROL_DT, moments.shape)[moments]
     longest = min(stale_above(without, fell, expected), MEASURED)
-    return ({MEMORY: limit} if np.isfinite(limit) else {}), longest
+    thresholds = {MEMORY: limit} if np.isfinite(limit) else {}
+    return thresholds, longest

@@ -1,7 +1,7 @@
-"""What robots of a study meet beside their ground: nominal conditions, or those of training.
+"""Conditions of a study beside the ground: nominal ones, or those of training.
 
 Under nominal conditions bodies, starts and the camera's mount differ a little, and images have
-noise; sensors of the body are true, images are never late and nobody pushes.
+noise; the other sensors are exact, images are never late, and robots are not pushed.
 """
 
 from __future__ import annotations
@@ -22,29 +22,31 @@ from renet.tasks.sensors import depth_camera
 
 PUSH = "push"
 """Name of the event that pushes robots, in a task's configuration."""
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-"""Parts of a push in the order of a body's velocity."""
+_PUSH_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Components of a push, in the order of a body's velocity."""
 
 
-def as_trained(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
-    """Give robots of a study the differences, sensors and pushes of training, in place.
+def use_training_conditions(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
+    """Set a study's task to the body differences, sensors and pushes of training, in place.
 
-    What a study may vary beside them, such as starts, and the noise of images, stay as they are.
+    Starts, the noise of images and whatever else a study varies are not changed.
 
     Args:
-        cfg: made with `play=True`.
+        cfg: the study's task, made with `play=True`.
         trained: the task in its training variant; raises RenetError if it delays joint targets,
-            which cannot be drawn alike for twins.
+            for twins cannot have the same delays.
     """
     if trained.motors.target_delay[1] > 0.0:
         raise RenetError(
             "this bundle's task delays joint targets in training, which a study cannot draw alike"
             " for twins: leave out --conditions training"
         )
+    # Start-up events draw the bodies; the others, such as the spawn, are the study's own.
     for name, event in trained.events.items():
         if event.mode == "startup" or name == PUSH:
             cfg.events[name] = deepcopy(event)
-    camera, other = depth_camera(cfg), depth_camera(trained)
+    camera = depth_camera(cfg)
+    other = depth_camera(trained)
     camera.delay = other.delay
     camera.mount = replace(
         camera.mount,
@@ -56,28 +58,30 @@ def as_trained(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
 
 @dataclass
 class Disturbances:
-    """Sensor noise and pushes of R robots, drawn by robot number: the same for twins.
+    """Sensor noise and pushes of R robots, drawn by robot number, so that twins have the same.
 
     mjlab draws both by row.
     """
 
     push: EventTermCfg | None = None
-    """When and how robots are pushed; None: never."""
+    """Times and velocities of pushes; None: robots are not pushed."""
     noise: UniformNoiseCfg | None = None
     """Noise of the proprioception before it is scaled; None: there is none."""
     scale: Tensor = field(default_factory=lambda: torch.ones(()))
-    """[45] by which the proprioception is scaled."""
+    """Scales of the proprioception, [45]."""
 
     @classmethod
-    def taken_from(cls, cfg: RenetEnvCfg) -> Disturbances:
-        """The disturbances of a configuration, which has none any more."""
-        taken = cls(push=cfg.events.pop(PUSH, None))
+    def extract(cls, cfg: RenetEnvCfg) -> Disturbances:
+        """Remove the disturbances from a configuration, in place, and return them."""
+        disturbances = cls(push=cfg.events.pop(PUSH, None))
+        # Left in place, mjlab's noise would differ between twins.
         group = cfg.observations["proprioception"]
         term = group.terms["value"]
         if group.enable_corruption and isinstance(term.noise, UniformNoiseCfg):
-            taken.noise, term.noise = term.noise, None
-            taken.scale = torch.tensor(term.scale)
-        return taken
+            disturbances.noise = term.noise
+            term.noise = None
+            disturbances.scale = torch.tensor(term.scale)
+        return disturbances
 
     def restart(self, robots: int, seed: int) -> None:
         """Begin a run of R robots."""
@@ -86,27 +90,29 @@ class Disturbances:
         self._until_push = self._draw_intervals()
 
     def draw_noise(self) -> Tensor | None:
-        """What is added to the scaled proprioception, [R, 45]; None if it has no noise."""
+        """Noise of the scaled proprioception, [R, 45]; None if there is none."""
         if self.noise is None:
             return None
-        low, high = torch.tensor(self.noise.n_min), torch.tensor(self.noise.n_max)
+        low = torch.tensor(self.noise.n_min)
+        high = torch.tensor(self.noise.n_max)
         share = torch.rand((self._robots, *low.shape), generator=self._random)
         return (low + share * (high - low)) * self.scale
 
     def draw_pushes(self) -> tuple[Tensor, Tensor]:
-        """Who is pushed in the next control step, [R] bool, and the change of velocity, [R, 6]."""
+        """Mask of robots pushed in the next control step, [R], and changes of velocity, [R, 6]."""
         self._until_push = self._until_push - CONTROL_DT
+        # Less than a rounding error is left of the time.
         pushed = self._until_push < 1e-6
-        change = torch.zeros(self._robots, len(AXES))
+        change = torch.zeros(self._robots, len(_PUSH_AXES))
         if self.push is not None and pushed.any():
             self._until_push = torch.where(pushed, self._draw_intervals(), self._until_push)
             ranges = self.push.params["velocity_range"]
-            low, high = torch.tensor([ranges.get(axis, (0.0, 0.0)) for axis in AXES]).T
+            low, high = torch.tensor([ranges.get(axis, (0.0, 0.0)) for axis in _PUSH_AXES]).T
             change = low + torch.rand(change.shape, generator=self._random) * (high - low)
         return pushed, change
 
     def _draw_intervals(self) -> Tensor:
-        """Seconds until the next push, [R]."""
+        """Time until the next push, [R] s."""
         if self.push is None or self.push.interval_range_s is None:
             return torch.full((self._robots,), math.inf)
         low, high = self.push.interval_range_s

@@ -1,4 +1,4 @@
-"""`renet evaluate curves`: training runs drawn over their environment steps, seeds together.
+"""Curves of training runs over their environment steps: `renet evaluate curves`.
 
 Runs of one label are seeds of one recipe: a line is their mean, a band reaches from the lowest to
 the highest, and the table has mean and standard deviation over them.
@@ -19,12 +19,12 @@ from matplotlib.axes import Axes
 from renet.curves import CURVES, LEVEL, STEPS, read_curves
 from renet.errors import RenetError, unknown_name
 from renet.evaluation import figures
-from renet.evaluation.results import grouped, output_folder, write_csv, write_json
+from renet.evaluation.results import output_folder, write_csv, write_json
 from renet.files import write_atomically
 from renet.terminal import show
 
-POINTS = 400
-"""Places at which curves of one label are compared."""
+_POINTS = 400
+"""Number of points of a line."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,15 @@ class CurvesCfg:
     """Draw training runs, and print the mean and spread of their last values over seeds."""
 
     runs: tyro.conf.Positional[tuple[str, ...]]
-    """Run folders of `renet train`, or their curves.csv, RUN or RUN=LABEL; runs of one label are
+    """Run folders of `renet train`, or their curves.csv, as RUN or RUN=LABEL; runs of one label are
     seeds of one recipe. By default a run's label is its folder's name."""
     curves: tuple[str, ...] = (LEVEL, "Train/mean_reward", "Episode_Metrics/collisions")
     """Names of curves, or their beginnings, as in curves.csv."""
     smooth: int = 10
-    """Iterations whose mean is a point."""
+    """Number of iterations of the moving mean."""
     until: float | None = None
-    """Environment steps up to which runs are compared; by default those that all of a label have
-    done."""
+    """Environment steps up to which runs are compared; by default the last step that all runs of a
+    label have reached."""
     out: Path = Path("results/curves")
     """Folder for curves.png, summary.csv and summary.json."""
 
@@ -53,36 +53,41 @@ class CurvesCfg:
 
 @dataclass(frozen=True)
 class Run:
-    """The curves of one training."""
+    """Curves of one training run."""
 
     label: str
     steps: np.ndarray
     """Environment steps after each iteration, [I]."""
     values: dict[str, np.ndarray] = field(repr=False)
-    """Of each curve, [I]; NaN where it has none."""
+    """Values of each curve, [I]; NaN where it has none."""
 
 
 def make_curves(cfg: CurvesCfg) -> Path:
     """Draw the runs, write the table and return the folder; raises as `read_run`."""
-    runs = [read_run(argument, cfg.smooth) for argument in cfg.runs]
-    names = chosen(runs, cfg.curves)
+    runs = []
+    for argument in cfg.runs:
+        runs.append(read_run(argument, cfg.smooth))
+    names = choose_curves(runs, cfg.curves)
     out = output_folder(cfg.out)
-    seeds = grouped([{"label": run.label, "run": run} for run in runs], "label")
-    by_label = {label: [row["run"] for row in rows] for (label,), rows in seeds.items()}
-    rows = [row for label, mine in by_label.items() for row in last_values(label, mine, names, cfg)]
+    by_label: dict[str, list[Run]] = {}
+    for run in runs:
+        by_label.setdefault(run.label, []).append(run)
+    rows = []
+    for label, seeds in by_label.items():
+        rows += last_values(label, seeds, names, cfg)
     write_json(out / "summary.json", {"runs": rows, "smooth": cfg.smooth})
     write_csv(out / "summary.csv", rows)
     write_atomically(out / "curves.png", picture(by_label, names), "figure")
     header = ("curve", "runs", "seeds", "M steps", "mean", "SD", "range")
-    show("Last values", header, [shown(row) for row in rows])
+    show("Last values", header, list(map(table_row, rows)))
     return out
 
 
 def read_run(argument: str, smooth: int) -> Run:
-    """Read a run, RUN or RUN=LABEL, its values as means of `smooth` iterations.
+    """Read a run, RUN or RUN=LABEL, with a moving mean over `smooth` iterations.
 
     Raises:
-        RenetError: there are no curves, or too few iterations for one point.
+        RenetError: the run has no curves, or too few iterations for one point.
     """
     path, _, label = argument.partition("=")
     folder = Path(path)
@@ -90,22 +95,24 @@ def read_run(argument: str, smooth: int) -> Run:
     curves = read_curves(file)
     if STEPS not in curves:
         raise RenetError(f"{file} has no curve {STEPS}: is it of `renet train`?")
+    # Curves are read at the iterations whose environment steps are known.
     iterations = sorted(curves[STEPS])
     if len(iterations) < smooth:
         raise RenetError(
             f"{file} has {len(iterations)} iterations, fewer than --smooth {smooth}: train longer, "
             "or smooth less"
         )
-    values = {
-        name: moving_mean(np.array([curve.get(i, np.nan) for i in iterations]), smooth)
-        for name, curve in curves.items()
-    }
+    values = {}
+    for name, curve in curves.items():
+        raw = np.array([curve.get(i, np.nan) for i in iterations])
+        values[name] = moving_mean(raw, smooth)
     name = folder.parent.name if folder.name == CURVES else folder.stem
     return Run(label or name, values[STEPS], values)
 
 
 def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
-    """Means of `count` values in a row, [I - count + 1] of [I]; those that are NaN do not count."""
+    """Means of `count` values in a row, [I - count + 1] of [I], without those that are NaN."""
+    # [I - count + 1, count]
     windows = np.lib.stride_tricks.sliding_window_view(values, count)
     known = ~np.isnan(windows)
     total = np.where(known, windows, 0.0).sum(axis=-1)
@@ -113,13 +120,16 @@ def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
     return np.where(number > 0, total / np.maximum(number, 1), np.nan)
 
 
-def chosen(runs: Sequence[Run], wanted: Sequence[str]) -> list[str]:
-    """Names of the runs' curves that begin with one of `wanted`; raises RenetError for none."""
-    known = sorted({name for run in runs for name in run.values})
-    for beginning in wanted:
+def choose_curves(runs: Sequence[Run], beginnings: Sequence[str]) -> list[str]:
+    """Names of the runs' curves that begin with one of `beginnings`; raises RenetError for none."""
+    names: set[str] = set()
+    for run in runs:
+        names |= run.values.keys()
+    known = sorted(names)
+    for beginning in beginnings:
         if not any(name.startswith(beginning) for name in known):
             raise unknown_name("curve", beginning, known)
-    return [name for name in known if name.startswith(tuple(wanted))]
+    return [name for name in known if name.startswith(tuple(beginnings))]
 
 
 def last_values(
@@ -127,14 +137,15 @@ def last_values(
 ) -> list[dict[str, Any]]:
     """Mean and spread of each curve over the runs of a label, at the last step they have in common.
 
-    The standard deviation is that of a sample; one run has none.
+    The standard deviation is that of a sample; it is None for a single run.
     """
+    # Longer runs are read where the shortest ends, or the comparison would favour them.
     end = min(run.steps[-1] for run in runs)
     if cfg.until is not None:
         end = min(end, cfg.until)
     rows = []
     for name in names:
-        values = np.array([value_at(run, name, end) for run in runs])
+        values = np.array([_value_at(run, name, end) for run in runs])
         values = values[~np.isnan(values)]
         if not values.size:
             continue
@@ -154,8 +165,8 @@ def last_values(
     return rows
 
 
-def value_at(run: Run, name: str, steps: float) -> float:
-    """A curve's value at a number of environment steps, NaN where the run lacks it."""
+def _value_at(run: Run, name: str, steps: float) -> float:
+    """Value of a curve at a number of environment steps, by interpolation; NaN if it is missing."""
     if name not in run.values:
         return float("nan")
     known = ~np.isnan(run.values[name])
@@ -164,8 +175,8 @@ def value_at(run: Run, name: str, steps: float) -> float:
     return float(np.interp(steps, run.steps[known], run.values[name][known]))
 
 
-def shown(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """A row of the printed table, the curve by the last part of its name."""
+def table_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+    """Row of the printed table, with the last part of the curve's name."""
     curve = row["curve"].split("/")[-1].replace("_", " ")
     steps = f"{row['steps'] / 1e6:.2f}"
     spread = "-" if row["sd"] is None else f"{row['sd']:.3g}"
@@ -174,7 +185,7 @@ def shown(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> bytes:
-    """A panel for each curve, a line and a band for each label, as PNG."""
+    """PNG with a panel for each curve, and a line and a band for each label."""
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
     with plt.rc_context(figures.STYLE):
@@ -184,6 +195,7 @@ def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> byte
             for number, (label, runs) in enumerate(by_label.items()):
                 draw_seeds(axis, runs, name, f"C{number}", label)
             axis.set(title=name.split("/")[-1].replace("_", " "), xlabel="million steps")
+        # The last row may have more panels than curves.
         for axis in axes.flat[len(names) :]:
             axis.set_axis_off()
         figures.legend(figure, axes[0][0])
@@ -191,16 +203,20 @@ def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> byte
 
 
 def draw_seeds(axis: Axes, runs: Sequence[Run], name: str, colour: str, label: str) -> None:
-    """Draw the mean of runs over the steps they have in common, and how far they lie apart."""
-    mine = [run for run in runs if name in run.values]
-    if not mine:
+    """Draw the mean of runs over the steps they have in common, and a band over their range."""
+    group = [run for run in runs if name in run.values]
+    if not group:
         return
-    begin = max(run.steps[0] for run in mine)
-    end = min(run.steps[-1] for run in mine)
-    steps = np.linspace(begin, end, POINTS)
-    values = np.array([[value_at(run, name, step) for step in steps] for run in mine])
-    count = f"{label} ({len(mine)} seeds)" if len(mine) > 1 else label
+    begin = max(run.steps[0] for run in group)
+    end = min(run.steps[-1] for run in group)
+    steps = np.linspace(begin, end, _POINTS)
+    # [runs, points]
+    values = np.empty((len(group), _POINTS))
+    for row, run in enumerate(group):
+        values[row] = [_value_at(run, name, step) for step in steps]
+    count = f"{label} ({len(group)} seeds)" if len(group) > 1 else label
     axis.plot(steps / 1e6, values.mean(axis=0), color=colour, label=count)
-    if len(mine) > 1:
-        low, high = values.min(axis=0), values.max(axis=0)
+    if len(group) > 1:
+        low = values.min(axis=0)
+        high = values.max(axis=0)
         axis.fill_between(steps / 1e6, low, high, color=colour, alpha=0.2, linewidth=0)

@@ -1,4 +1,4 @@
-"""`renet demo`: a robot's camera dies half a second before a gap, and who remembers it crosses."""
+"""Robots whose camera dies half a second before a gap, which memory crosses: `renet demo`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.rollout import Mode, Trial
+from renet.evaluation.results import column
+from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
 from renet.evaluation.studies.one_try import EDGES
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
@@ -28,18 +29,22 @@ from renet.terrain.tiles import LEVELS, tiles
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
-GROUND, LEVEL = "gap", 5
-"""Kind and level of the tile: a gap of 37 cm."""
-DEAD = "unplugged", 5
-"""The fault and its severity: no image any more."""
-BEFORE = 0.5
-"""Seconds before the edge, at the commanded speed, at which cameras die."""
-STRIDE, SLOWLY = 2, 2.0
-"""Control steps from one picture of the film to the next; half of it for seconds after death."""
-MARGIN = 0.5
+_GROUND = "gap"
+"""Kind of tile."""
+_LEVEL = 5
+"""Its level: a gap of 37 cm."""
+_DEAD_CAMERA = ("unplugged", 5)
+"""Fault and severity: no image any more."""
+_LEAD = 0.5
+"""Time before the edge, at the commanded speed, at which cameras die, s."""
+_STRIDE = 2
+"""Number of control steps from one picture of the film to the next, at normal speed."""
+_SLOW_SECONDS = 2.0
+"""Time after the camera's death that the film shows at half speed, s."""
+GOAL_MARGIN = 0.5
 """Distance beyond the gap at which a robot has crossed it, m."""
-SHOWN = 1.0, 3.2
-"""Seconds of the film before and after death."""
+FILM_SPAN = (1.0, 3.2)
+"""Time that the film shows before and after the camera's death, s."""
 CONSEQUENCES = {
     "memory": "VP walks on from the ground that it remembers",
     "switch": "OP takes over once the image looks abnormal",
@@ -48,7 +53,7 @@ CONSEQUENCES = {
     "oracle": "OP takes over at once, told of the fault",
 }
 """Behaviour in each mode once the camera is dead."""
-MAX_MEDIA = 64_000_000
+_MAX_MEDIA_SIZE = 64_000_000
 """Size limit of the page's film and figure, bytes."""
 
 
@@ -58,7 +63,7 @@ class DemoStudy(WalkingStudy):
 
     out: Path = Path("renet-demo")
     """Folder for index.html, film.mp4, demo.png, summary.md, .json and .csv, and parts/."""
-    modes: tuple[Mode, ...] = ("switch", "camera", "oracle", "memory")
+    modes: tuple[StudyMode, ...] = ("switch", "camera", "oracle", "memory")
     """Policy modes to compare; the film shows the first beside the last."""
     seconds: float = 9.0
     """Time to leave the tile."""
@@ -67,57 +72,64 @@ class DemoStudy(WalkingStudy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.seconds <= (dies := self.onset * CONTROL_DT):
-            raise RenetError(f"seconds must be above {dies:g}, when cameras die: {self.seconds}")
+        onset = self.onset * CONTROL_DT
+        if self.seconds <= onset:
+            raise RenetError(f"seconds must be above {onset:g}, when cameras die: {self.seconds}")
 
     @property
     def onset(self) -> int:
         """Control step at which cameras die."""
-        return max(round((EDGES[GROUND] / self.speed - BEFORE) / CONTROL_DT), 0)
+        return max(round((EDGES[_GROUND] / self.speed - _LEAD) / CONTROL_DT), 0)
 
     @property
     def gap(self) -> float:
         """Width of the gap, m."""
-        return tiles()[GROUND].measure((LEVEL - 1) / (LEVELS - 1))
+        return tiles()[_GROUND].measure((_LEVEL - 1) / (LEVELS - 1))
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """As every study; walks again where the film is missing."""
+        """Run the study; the robots walk again if the film is missing."""
+        # A part from an earlier run would leave the page without a film.
         if not (self.out / "film.mp4").exists():
             self._forget()
         return super().run(evaluator)
 
     def _forget(self) -> None:
-        """Delete kept walks: the film shows the newest one alone."""
-        for part in (self.out / "parts").glob(f"{GROUND}-*.json"):
+        """Delete kept parts, for the film shows the newest run only."""
+        for part in (self.out / "parts").glob(f"{_GROUND}-*.json"):
             remove(part)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """All modes side by side."""
-        return {GROUND: partial(self._walk, evaluator)}
+        """One part: all modes side by side."""
+        return {_GROUND: partial(self._walk, evaluator)}
 
     def _walk(self, evaluator: Evaluator) -> Part:
-        """Walk, and film the first pair of twins whose left robot alone falls."""
+        """Walk, and film twins of which the first mode's falls and the last mode's crosses."""
         from renet.evaluation.video import film
 
-        dead = (Injection.of(*DEAD, self.onset, self.seconds),)
+        dead = (Injection.of(*_DEAD_CAMERA, self.onset, self.seconds),)
         each = self.robots_each
-        trials = [Trial(mode, dead, robot, GROUND) for mode in self.modes for robot in range(each)]
-        robots = [trial.robot for trial in trials]
-        env = evaluator.make_env({GROUND: LEVEL}, robots, self.speed, self.seed)
-        env.place_on([GROUND] * len(trials))
+        trials = []
+        for mode in self.modes:
+            trials += [Trial(mode, dead, robot, _GROUND) for robot in range(each)]
+        numbers = robot_numbers(trials)
+        env = evaluator.make_env({_GROUND: _LEVEL}, numbers, self.speed, self.seed)
+        env.place_on([_GROUND] * len(trials))
         steps = round(self.seconds / CONTROL_DT)
         rollout = evaluator.rollout(env, trials, self.seed)
         title = f"{len(trials)} robots"
         trace = rollout.run(steps, title, until_ended=self.onset, film=range(len(trials)))
-        crossed, fell, _ = (ends.reshape(-1, each) for ends in trace.first_try())
+        # [modes, robots]
+        crossed, fell, _ = trace.first_try()
+        crossed = crossed.reshape(-1, each)
+        fell = fell.reshape(-1, each)
         pair = int((fell[0] & crossed[-1]).argmax())
-        # The first mode beside the last; one robot where there is one mode.
+        # The first mode beside the last; a single robot if there is one mode.
         places = dict.fromkeys((pair, (len(self.modes) - 1) * each + pair))
         titles = {place: trials[place].mode for place in places}
         self._forget()
-        beyond = EDGES[GROUND] + self.gap + MARGIN
+        goal = EDGES[_GROUND] + self.gap + GOAL_MARGIN
         path = self.out / "film.mp4"
-        film(path, env.scene_spec, trace, titles, "no image", self.pace(trace), beyond)
+        film(path, env.scene_spec, trace, titles, "no image", self.pace(trace), goal)
         return {
             "crossed": crossed,
             "fell": fell,
@@ -126,38 +138,52 @@ class DemoStudy(WalkingStudy):
         }
 
     def pace(self, trace: Trace) -> list[int]:
-        """Control steps of the film's pictures: time slows down from the camera's death on."""
-        before, after = (round(seconds / CONTROL_DT) for seconds in SHOWN)
-        dead, normal = self.onset, self.onset + round(SLOWLY / CONTROL_DT)
-        end = min(dead + after, len(trace.fell))
-        slowly = range(dead, min(normal, end), STRIDE // 2)
-        return [*range(max(dead - before, 0), dead, STRIDE), *slowly, *range(normal, end, STRIDE)]
+        """Control steps of the film's pictures, at half speed just after the camera's death."""
+        before = round(FILM_SPAN[0] / CONTROL_DT)
+        after = round(FILM_SPAN[1] / CONTROL_DT)
+        onset = self.onset
+        normal = onset + round(_SLOW_SECONDS / CONTROL_DT)
+        end = min(onset + after, len(trace.fell))
+        return [
+            *range(max(onset - before, 0), onset, _STRIDE),
+            *range(onset, min(normal, end), _STRIDE // 2),
+            *range(normal, end, _STRIDE),
+        ]
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """A row for each mode."""
-        part = parts[GROUND]
+        part = parts[_GROUND]
         ends = zip(self.modes, np.array(part["crossed"]), np.array(part["fell"]), strict=True)
-        runs = [
-            {"mode": mode, "robots": len(crossed), "crossed": int(crossed.sum())}
-            | {"fell": int(fell.sum()), "crossed_rate": float(crossed.mean())}
-            | metrics.with_share_interval("crossed", crossed)
-            for mode, crossed, fell in ends
-        ]
-        film = {name: part[name] for name in ("pair", "remembers")}
-        return {"runs": runs, "gap_m": self.gap, "before_s": BEFORE} | film
+        runs = []
+        for mode, crossed, fell in ends:
+            run = {
+                "mode": mode,
+                "robots": len(crossed),
+                "crossed": int(crossed.sum()),
+                "fell": int(fell.sum()),
+                "crossed_rate": float(crossed.mean()),
+            }
+            runs.append(run | metrics.with_share_interval("crossed", crossed))
+        return {
+            "runs": runs,
+            "gap_m": self.gap,
+            "before_s": _LEAD,
+            "pair": part["pair"],
+            "remembers": part["remembers"],
+        }
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """demo.png: number of robots that cross, a bar for each mode."""
-        counts = {run["mode"]: run["crossed"] for run in summary["runs"]}
-        title = f"The camera dies {BEFORE} s before a gap of {100 * self.gap:.0f} cm: who crosses"
+        """Figure demo.png: number of robots that cross, a bar for each mode."""
+        runs = summary["runs"]
+        counts = dict(zip(column(runs, "mode"), column(runs, "crossed"), strict=True))
+        title = f"The camera dies {_LEAD} s before a gap of {100 * self.gap:.0f} cm: who crosses"
         return {"demo.png": figures.count_bars(counts, self.robots_each, title)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Robots that crossed and robots that fell, a row for each mode."""
-        rows = [
-            (run["mode"], run["crossed"], run["fell"], CONSEQUENCES[run["mode"]])
-            for run in summary["runs"]
-        ]
+        rows = []
+        for run in summary["runs"]:
+            rows.append((run["mode"], run["crossed"], run["fell"], CONSEQUENCES[run["mode"]]))
         title = f"{self.robots_each} robots each before a gap of {100 * self.gap:.0f} cm"
         return [(title, ("mode", "crossed", "fell", "when the camera dies"), rows)]
 
@@ -174,7 +200,7 @@ def run_demo(study: DemoStudy, evaluator: Evaluator | None = None) -> str:
 
 
 def headline(summary: Mapping[str, Any]) -> str:
-    """A sentence that says how many robots cross in each mode."""
+    """Sentence with the number of robots that cross in each mode."""
     robots = summary["runs"][0]["robots"]
     counts = ", ".join(f"{run['crossed']} in mode {run['mode']}" for run in summary["runs"])
     return (
@@ -184,17 +210,23 @@ def headline(summary: Mapping[str, Any]) -> str:
 
 
 def demo_page(summary: Mapping[str, Any], folder: Path) -> str:
-    """Self-contained HTML page of the demo: everything inline, no network.
+    """HTML page of the demo, with film and figure inline.
 
     Args:
-        summary: of the study.
-        folder: where its film.mp4 and demo.png are.
+        summary: summary of the study.
+        folder: folder of its film.mp4 and demo.png.
     """
     note = ""
     if not summary["remembers"] and "memory" in summary["settings"]["modes"]:
         note = (
             "<p>This bundle has no memory: where the camera fails, mode memory walks on blind.</p>"
         )
+    rows = list(map(_page_row, summary["runs"]))
+    provenance = []
+    for name, value in summary["provenance"].items():
+        term = escape(name.replace("_", " "))
+        provenance.append(f"<dt>{term}</dt><dd>{escape(str(value))}</dd>")
+    # Everything is inline, so that the page can be sent as one file.
     template = Template(Path(__file__).with_name("demo.html").read_text())
     return template.substitute(
         sentence=escape(headline(summary)),
@@ -204,16 +236,13 @@ def demo_page(summary: Mapping[str, Any], folder: Path) -> str:
         pair=summary["pair"] + 1,
         robots=summary["runs"][0]["robots"],
         note=note,
-        rows="\n".join(_page_row(run) for run in summary["runs"]),
-        provenance="\n".join(
-            f"<dt>{escape(name.replace('_', ' '))}</dt><dd>{escape(str(value))}</dd>"
-            for name, value in summary["provenance"].items()
-        ),
+        rows="\n".join(rows),
+        provenance="\n".join(provenance),
     )
 
 
 def _page_row(run: Mapping[str, Any]) -> str:
-    """A row of the page's table, HTML."""
+    """Row of the page's table, as HTML."""
     low = 100 * run["crossed_ci95_low"]
     high = 100 * run["crossed_ci95_high"]
     cells = (
@@ -227,6 +256,6 @@ def _page_row(run: Mapping[str, Any]) -> str:
 
 
 def _data_uri(path: Path, media: str) -> str:
-    """A file as a data URI of a media type."""
-    content = read_bytes(path, MAX_MEDIA, "picture or film")
+    """File as a data URI of a media type."""
+    content = read_bytes(path, _MAX_MEDIA_SIZE, "picture or film")
     return f"data:{media};base64,{base64.b64encode(content).decode()}"

@@ -1,4 +1,4 @@
-"""RENet's simulated tasks as the environment of a rollout."""
+"""Environment of a rollout: RENet's simulated tasks with twins, pushes and physical faults."""
 
 import io
 import warnings
@@ -18,7 +18,7 @@ from torch import Tensor
 from renet.bundle.manifest import Manifest
 from renet.errors import RenetError
 from renet.evaluation.conditions import Disturbances
-from renet.evaluation.rollout import FLAT
+from renet.evaluation.rollout import FLAT_GROUND
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import choose_evenly, obstacles
@@ -48,14 +48,14 @@ from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
 from renet.tasks.terrains import UNSEEN, parkour_terrain, tile_row
 
-NEVER = 1e9
-"""Seconds no run lasts."""
-SENSED = ("proprioception", "depth")
-"""Groups of observations that a robot has."""
+_NEVER = 1e9
+"""Time longer than any run, s."""
+_SENSED = ("proprioception", "depth")
+"""Groups of observations that a real robot has."""
 
 
 def trained_env_cfg(manifest: Manifest) -> RenetEnvCfg:
-    """The task a bundle was trained on; raises RenetError if it is not registered here."""
+    """Task that a bundle was trained on; raises RenetError if it is not registered here."""
     task = manifest.provenance.task
     try:
         return env_cfg(task or "Renet-Go1-Parkour")
@@ -67,27 +67,29 @@ def trained_env_cfg(manifest: Manifest) -> RenetEnvCfg:
 
 
 def robot_of(manifest: Manifest) -> Robot:
-    """The robot a bundle was trained on; raises RenetError if its task is not registered here."""
+    """Robot that a bundle was trained on; raises RenetError if its task is not registered here."""
     return trained_env_cfg(manifest).robot
 
 
 def terrain_env_cfg(
     terrain: str | Mapping[str, int] | TerrainEntityCfg, robot: Robot
 ) -> RenetEnvCfg:
-    """A task to measure in; its random tiles are not training's.
+    """Task for measurements on a terrain, whose random tiles differ from those of training.
 
     Args:
-        terrain: "flat", "parkour" (all tiles at all levels), or grounds side by side for
-            `SimEnv.place_on`: the level, 1 to 10, of each kind of tile or "flat"; raises
-            RenetError for an unknown one. Or any field of tiles.
-        robot: to put there.
+        terrain: "flat"; "parkour", all tiles at all levels; grounds side by side for
+            `SimEnv.place_on`, as the level, 1 to 10, of each kind of tile or "flat"; or any field
+            of tiles. Raises RenetError for an unknown kind or level.
+        robot: the robot.
     """
-    if terrain == FLAT:
+    if terrain == FLAT_GROUND:
         return flat_env_cfg(play=True, robot=robot)
     if isinstance(terrain, TerrainEntityCfg):
         tiles = terrain
+    elif isinstance(terrain, str):
+        tiles = parkour_terrain(UNSEEN)
     else:
-        tiles = parkour_terrain(UNSEEN) if isinstance(terrain, str) else tile_row(terrain)
+        tiles = tile_row(terrain)
     return tile_env_cfg(tiles, play=True, robot=robot)
 
 
@@ -97,10 +99,13 @@ def study_env_cfg(
     privileged: Sequence[str] = (),
     told: Told = "heading",
 ) -> RenetEnvCfg:
-    """A task, or its id, for measuring: straight ahead at `speed`, m/s, ended only by a fall.
+    """Configure a task for measurements: straight ahead, without time limit, rewards and metrics.
 
-    Of what training observes, only what a robot senses is computed, and the `privileged` groups.
-    Robots are told their goal as the policy was in training.
+    Args:
+        task: configuration, which is changed in place, or id of a task.
+        speed: commanded speed, m/s.
+        privileged: groups of observations to compute beside those of a real robot.
+        told: form of the command that the policy was trained with, heading or twist.
     """
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
@@ -109,19 +114,21 @@ def study_env_cfg(
     command.told = told
     if told == "twist":
         cfg.commands[COMMAND] = DriveCommandCfg(**vars(command))
-    command.resampling_time_range = (NEVER, NEVER)
+    command.resampling_time_range = (_NEVER, _NEVER)
     cfg.terminations.pop("time_out", None)
-    cfg.observations = {name: cfg.observations[name] for name in (*SENSED, *privileged)}
-    cfg.rewards, cfg.metrics = {}, {}
+    # Compute nothing that no study reads.
+    cfg.observations = {name: cfg.observations[name] for name in (*_SENSED, *privileged)}
+    cfg.rewards = {}
+    cfg.metrics = {}
     obey_deployment(cfg)
     return cfg
 
 
 def obey_deployment(cfg: RenetEnvCfg) -> None:
-    """Hold robots of a study to what `renet deploy` lets them do, in place.
+    """Apply the limits of `renet deploy` to the robots of a study, in place.
 
-    Joint targets change no faster and stay in the joints' ranges, and a robot that would be braked
-    has fallen. Torques need no limit of their own: the simulated motors saturate.
+    Joint targets have its largest rate and stay in the joints' ranges, and a robot that it would
+    brake counts as fallen. Torques need no limit of their own, for the simulated motors saturate.
     """
     for action in cfg.actions.values():
         if isinstance(action, mdp.OrderedJointPositionActionCfg):
@@ -137,18 +144,18 @@ def obey_deployment(cfg: RenetEnvCfg) -> None:
 
 
 class SimEnv:
-    """A batch of robots in RENet's environment; see `EvalEnv`.
+    """Batch of robots in RENet's environment; see `EvalEnv`.
 
     Rows with the same robot number are twins, in all environments of one seed and one set of robot
     numbers: bodies, camera mounts, delays, starts, noise and pushes are the same until an episode
-    ends. What differs is what a study varies.
+    ends. They differ only in what a study varies.
     """
 
     def __init__(self, cfg: RenetEnvCfg, robots: Sequence[int], seed: int, engine: str) -> None:
         """Build the environment with one row for each robot number."""
         cfg = deepcopy(cfg)
-        self._disturbances = Disturbances.taken_from(cfg)
-        # mjlab prints its tables and warns of choices the task makes on purpose.
+        self._disturbances = Disturbances.extract(cfg)
+        # mjlab prints its tables, and warns of choices that the task makes on purpose.
         with redirect_stdout(io.StringIO()), warnings.catch_warnings(action="ignore"):
             self.env: RenetEnv = make_env(cfg, len(robots), seed=seed, engine=engine)
             self._robot = self.env.scene["robot"].data
@@ -157,22 +164,26 @@ class SimEnv:
         self.num_robots = len(robots)
         self._seed = seed
         self._view = ViewPerturbation.none(self.num_robots)
-        self._camera.normal, self._noise = self._draw_noise, torch.Generator()
+        self._noise = torch.Generator()
+        self._camera.normal = self._draw_noise
 
     def _draw_bodies(self, robots: Sequence[int], seed: int) -> None:
         """Draw a body for each robot number, whatever the number of rows, and copy it to twins."""
         _, first, number = np.unique(np.asarray(robots), return_index=True, return_inverse=True)
-        self._first, self._number = torch.from_numpy(first), torch.from_numpy(number)
-        """The first row of each of R robot numbers, [R], and of each row the place among them."""
+        self._first = torch.from_numpy(first)
+        """First row of each of R robot numbers, [R]."""
+        self._number = torch.from_numpy(number)
+        """Place of each row's robot number among the R, [N]."""
         self._twin = self._first[self._number]
-        """The row each row is a twin of, [N]."""
+        """First row of each row's twins, [N]."""
         torch.manual_seed(seed)
         self.env.event_manager.apply("startup", self._first)
         for field in self.env.sim.expanded_fields:
             if not getattr(self.env.sim.wp_model, field).size:
-                continue  # mjlab cannot read what the robot has none of, such as tendons.
+                continue  # mjlab cannot read an empty field, such as that of tendons.
             values = getattr(self.env.sim.model, field)
             values[:] = values[self._twin]
+        # These are no fields of the simulation's model.
         self._robot.encoder_bias[:] = self._robot.encoder_bias[self._twin]
         if self.env.motors is not None:
             self.env.motors.draw_speeds(self._first)
@@ -183,11 +194,11 @@ class SimEnv:
 
     @property
     def scene_spec(self) -> mujoco.MjSpec:
-        """The scene, for pictures."""
+        """Specification of the scene, for pictures."""
         return self.env.scene.spec
 
     def reset(self) -> StepResult:
-        """Put every robot at its start; every run of one environment begins alike."""
+        """Put every robot at its start, the same one in every run of this environment."""
         self.retire(np.zeros(self.num_robots, bool))
         with redirect_stdout(io.StringIO()):
             self.env.reset(seed=self._seed)
@@ -198,7 +209,9 @@ class SimEnv:
 
     def _start_as_twins(self) -> dict:
         """Give every row its twin's start and observe anew, as mjlab's reset does."""
-        env, twin, everybody = self.env, self._twin, torch.arange(self.num_robots)
+        env = self.env
+        twin = self._twin
+        everybody = torch.arange(self.num_robots)
         env.scene.reset(everybody)
         torch.manual_seed(self._seed)
         self._noise.manual_seed(self._seed)
@@ -210,10 +223,13 @@ class SimEnv:
             env.motors.begin_episodes(self._first)
             env.motors.copy_rows(twin)
             env.motors.reset(everybody)
-        position, velocity = env.sim.data.qpos, env.sim.data.qvel
+        # Twins have the same pose relative to their origins.
+        position = env.sim.data.qpos
+        velocity = env.sim.data.qvel
         start = position[twin]
         start[:, :3] += env.scene.env_origins - env.scene.env_origins[twin]
-        position[:], velocity[:] = start, velocity[twin]
+        position[:] = start
+        velocity[:] = velocity[twin]
         env.sim.forward()
         env.command_manager.reset(everybody)
         env.command_manager.compute(dt=0.0, env_ids=everybody)
@@ -222,28 +238,30 @@ class SimEnv:
 
     def _draw_noise(self, depth: Tensor) -> Tensor:
         """Standard normal numbers for images [N, H, W], the same for twins."""
-        drawn = torch.randn((len(self._first), *depth.shape[1:]), generator=self._noise)
-        return drawn[self._number]
+        noise = torch.randn((len(self._first), *depth.shape[1:]), generator=self._noise)
+        return noise[self._number]
 
     def step(self, action: np.ndarray) -> StepResult:
         """Act [N, 12] for one control step."""
         with torch.no_grad():
             self._push()
             observation, _, terminated, truncated, _ = self.env.step(torch.from_numpy(action))
-        fell, ended = terminated.numpy(), (terminated | truncated).numpy()
+        fell = terminated.numpy()
+        ended = (terminated | truncated).numpy()
+        # Distances count from the next start.
         self._start[ended] = self._position()[ended]
         return self._readings(observation, fell, ended)
 
     def retire(self, mask: np.ndarray) -> None:
-        """Simulate the masked robots [N] no more until the next reset, where that saves work.
+        """Stop simulating the masked robots, [N] bool, until the next reset.
 
-        The others walk as they would beside them, to the last digit.
+        The motion of the others does not change, bit for bit. Only the native engine saves work.
         """
         if isinstance(self.env.sim, NativeSimulation):
             self.env.sim.at_rest[:] = mask
 
     def _push(self) -> None:
-        """Change the velocities of the robots that are pushed now."""
+        """Change the velocities of the robots that are pushed in this step."""
         pushed, change = self._disturbances.draw_pushes()
         rows = pushed[self._number].nonzero().flatten()
         if len(rows):
@@ -254,7 +272,8 @@ class SimEnv:
         """Put robots on tiles, from the next reset on.
 
         Args:
-            levels: [N] row of the terrain, 0 the easiest. kinds: [N] its column.
+            levels: row of the terrain of each robot, 0 the easiest, [N].
+            kinds: its column, [N].
         """
         terrain = tile_terrain(self.env)
         terrain.terrain_levels[:] = torch.as_tensor(levels)
@@ -264,16 +283,17 @@ class SimEnv:
     def place_on(self, grounds: Sequence[str]) -> None:
         """Put each robot on a ground of `terrain_env_cfg`, from the next reset on; [N] names."""
         kinds = list(tile_terrain(self.env).cfg.terrain_generator.sub_terrains)
-        self.place(np.zeros(len(grounds), int), np.array([kinds.index(g) for g in grounds]))
+        columns = np.array([kinds.index(ground) for ground in grounds])
+        self.place(np.zeros(len(grounds), int), columns)
 
     def command(self, speed: float) -> None:
-        """Tell every robot a new c_x, m/s, from the next step on."""
+        """Command every robot a new speed c_x, m/s, from the next step on."""
         goal(self.env).speed[:] = speed
 
     def follow(self, twists: np.ndarray) -> None:
-        """Let robots follow twists [N, 3] m/s, m/s, rad/s, from the next reset on.
+        """Command twists (v_x, v_y, omega_z), [N, 3] in m/s and rad/s, from the next reset on.
 
-        Raises RenetError if the policy is told a heading.
+        Raises RenetError if the policy's commands are headings.
         """
         command = goal(self.env)
         if not isinstance(command, DriveCommand):
@@ -284,7 +304,8 @@ class SimEnv:
         command.fixed_twist = torch.as_tensor(twists, dtype=torch.float32)
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
-        """Let the cameras see the scene so from their next image on."""
+        """Set how the cameras see the scene from their next image on."""
+        # Most control steps change nothing.
         if view == self._view:
             return
         origins = tile_terrain(self.env).terrain_origins
@@ -301,12 +322,14 @@ class SimEnv:
         return self._robot.root_link_pos_w[:, :2].numpy()
 
     def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> StepResult:
+        """Observations with noise, and true state; `fell` and `ended` are of the last step, [N]."""
+        # Twins have the same noise.
         noise = self._disturbances.draw_noise()
         if noise is not None:
             noisy = observation["proprioception"] + noise[self._number]
             observation = observation | {"proprioception": noisy}
         self.observation = observation
-        """The newest observations by group, also the `Evaluator.privileged`."""
+        """Newest observations by group, those of `Evaluator.privileged` included."""
         velocity = self._robot.root_link_lin_vel_w[:, :2]
         above = self._robot.root_link_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
         return StepResult(
@@ -326,20 +349,23 @@ class SimEnv:
 def ray_perturbation(
     view: ViewPerturbation, model: mujoco.MjModel, middles: np.ndarray
 ) -> CameraPerturbation | None:
-    """Translate a camera perturbation into what the ray caster does; None if nothing changes.
+    """Convert a perturbation of cameras to the ray caster's form; None if nothing changes.
 
     Args:
-        view: of N cameras; raises RenetError if obstacles are to be glass where there are none.
-        model: the scene. middles: [M, 2] horizontal middles of its tiles.
+        view: perturbation of N cameras; raises RenetError if it makes obstacles of glass where
+            there are none.
+        model: model of the scene.
+        middles: horizontal middles of its tiles, [M, 2] m.
     """
     if view == ViewPerturbation.none(len(view.lift)):
         return None
     shares = np.unique(view.glass[view.glass > 0])
     tiles = obstacles(model, middles) if shares.size else []
-    unseen = [
-        (choose_evenly(tiles, share), torch.from_numpy(np.flatnonzero(view.glass == share)))
-        for share in shares.tolist()
-    ]
+    # Geoms that are invisible to some cameras, for each share of glass.
+    unseen = []
+    for share in shares.tolist():
+        cameras = torch.from_numpy(np.flatnonzero(view.glass == share))
+        unseen.append((choose_evenly(tiles, share), cameras))
     lift = torch.as_tensor(view.lift, dtype=torch.float32)
     turn = torch.as_tensor(Rotation.from_rotvec(view.turn).as_matrix(), dtype=torch.float32)
     return CameraPerturbation(lift, turn, unseen)

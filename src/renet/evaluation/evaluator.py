@@ -1,4 +1,4 @@
-"""What every study works with: a bundle, its policy and selector, and environments for them."""
+"""Evaluator of studies: a bundle, its policy and selector, and environments for them."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from mjlab.terrains import TerrainEntityCfg
 
 from renet.bundle import Bundle
 from renet.errors import RenetError
-from renet.evaluation.conditions import as_trained
+from renet.evaluation.conditions import use_training_conditions
 from renet.evaluation.env import (
     SimEnv,
     robot_of,
@@ -17,7 +17,7 @@ from renet.evaluation.env import (
 )
 from renet.evaluation.results import Provenance
 from renet.evaluation.rollout import (
-    FLAT,
+    FLAT_GROUND,
     PARKOUR,
     Conditions,
     EvalEnv,
@@ -37,15 +37,17 @@ from renet.tasks import RenetEnvCfg
 from renet.tasks.motor_models import use_motors
 from renet.tasks.sensors import depth_camera
 
-Terrain = str | Mapping[str, int] | TerrainEntityCfg
-Task = Terrain | RenetEnvCfg
+StudyTerrain = str | Mapping[str, int] | TerrainEntityCfg
+"""Terrain by name, level of each ground by kind, or any field of tiles; see `terrain_env_cfg`."""
+Task = StudyTerrain | RenetEnvCfg
+"""Terrain, or the configuration of a whole task."""
 
 
 class Evaluator:
-    """One bundle under study; a subclass for another policy overrides `make_policy`."""
+    """Bundle under study; a subclass for another policy overrides `make_policy`."""
 
     privileged: tuple[str, ...] = ()
-    """Groups of training's observations that the policy reads from `SimEnv.observation`."""
+    """Groups of privileged observations that the policy reads from `SimEnv.observation`."""
 
     def __init__(
         self,
@@ -54,13 +56,13 @@ class Evaluator:
         conditions: Conditions = "nominal",
         motors: str = IDEAL,
     ) -> None:
-        """Load a bundle; raises RenetError where it or motors cannot be used.
+        """Load a bundle; raises RenetError if the bundle or the motors cannot be used.
 
         Args:
-            bundle: its folder; the one that ships with renet by default.
+            bundle: folder of the bundle; by default the one that comes with renet.
             engine: auto, native or warp.
-            conditions: nominal, or training: those of the bundle's task.
-            motors: of the robots: ideal, go1, or a file of `renet identify`.
+            conditions: nominal, or training for those of the bundle's task.
+            motors: motors of the robots: ideal, go1, or a file of `renet identify`.
         """
         self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine = engine
@@ -75,35 +77,35 @@ class Evaluator:
 
     @property
     def beta(self) -> float:
-        """Threshold on the anomaly score of the mode `memory`."""
+        """Threshold of mode memory on the reconstruction's anomaly score."""
         spec = self.bundle.manifest.selector
         return spec.thresholds.get("reconstruction", spec.beta)
 
     @property
     def paper_beta(self) -> float:
-        """Threshold on the anomaly score of the mode `switch`."""
+        """Threshold of mode switch on the anomaly score, the paper's β."""
         return self.bundle.manifest.selector.beta
 
     @property
     def thresholds(self) -> dict[str, float]:
-        """Thresholds of the monitors of the mode `memory`, by name."""
+        """Thresholds of the monitors of mode memory, by name."""
         return self.bundle.manifest.selector.used_thresholds
 
     def provenance(self, seed: int) -> Provenance:
-        """The provenance of numbers made with this bundle now."""
+        """Provenance of numbers that are made with this bundle now."""
         engine = "native" if self.engine == "auto" else self.engine
         return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
-    def terrain_env_cfg(self, terrain: Terrain) -> RenetEnvCfg:
-        """`env.terrain_env_cfg` with the bundle's robot, under the evaluator's conditions."""
+    def terrain_env_cfg(self, terrain: StudyTerrain) -> RenetEnvCfg:
+        """Task of `env.terrain_env_cfg` with the bundle's robot and the evaluator's conditions."""
         cfg = terrain_env_cfg(terrain, self.robot)
         self.set_conditions(cfg)
         return cfg
 
     def set_conditions(self, cfg: RenetEnvCfg) -> None:
-        """Let robots of a configuration meet the evaluator's conditions."""
+        """Set a task to the evaluator's conditions, in place."""
         if self.conditions == "training":
-            as_trained(cfg, trained_env_cfg(self.bundle.manifest))
+            use_training_conditions(cfg, trained_env_cfg(self.bundle.manifest))
 
     def make_env(
         self,
@@ -116,17 +118,22 @@ class Evaluator:
         """Make an environment of robots that are commanded to walk straight ahead.
 
         Args:
-            task: terrain or grounds as in `terrain_env_cfg`, or a configuration made with
-                `play=True`, whose conditions are its own (see `set_conditions`); raises RenetError
-                if it is another robot's than the bundle.
-            robots: one number for each robot; those with the same number are twins.
-            speed: commanded, m/s. seed: of bodies and starts.
+            task: terrain or grounds as in `terrain_env_cfg`, or a task made with `play=True`, whose
+                conditions are not changed (see `set_conditions`).
+            robots: a number for each robot; robots with the same number are twins.
+            speed: commanded speed, m/s.
+            seed: seed of bodies and starts.
             camera_noise: standard deviation of every depth, m; None: that of the bundle's training.
+
+        Raises:
+            RenetError: the task's robot is not the bundle's, or the seed is out of range.
         """
+        # NumPy's legacy generator takes no other seeds.
         if not 0 <= seed < 2**32:
             raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
+        # Any other string is the id of a task.
         if isinstance(task, Mapping | TerrainEntityCfg) or (
-            isinstance(task, str) and task in (FLAT, PARKOUR)
+            isinstance(task, str) and task in (FLAT_GROUND, PARKOUR)
         ):
             task = self.terrain_env_cfg(task)
         cfg = study_env_cfg(task, speed, self.privileged, self.bundle.manifest.told)
@@ -136,6 +143,7 @@ class Evaluator:
                 f"bundle {self.bundle.name} drives a {robot}, this task's robot is a"
                 f" {cfg.robot.name}: give a --bundle trained on the {cfg.robot.name}"
             )
+        # Depth images keep the noise of training, unless a study sets its own.
         if camera_noise is None:
             camera_noise = self.bundle.manifest.camera.noise_std
         depth_camera(cfg).noise.gaussian_std = camera_noise
@@ -149,14 +157,19 @@ class Evaluator:
         return BundlePolicy(self.bundle, num_robots)
 
     def make_selector(self, kind: str, num_robots: int) -> Selector:
-        """Make what robots of the mode `memory` or `switch` obey."""
+        """Make the selector of mode memory or switch, for N robots."""
         return make_selector(kind, self.bundle.manifest.selector, num_robots)
 
     def make_pilot(self, modes: Sequence[str], unseen: Unseen | Sequence[Unseen] = "walk") -> Pilot:
-        """Make the pilot of the policy under study, with the mode and the conduct of each robot."""
+        """Make the pilot of the policy under study.
+
+        Args:
+            modes: mode of each robot, [N].
+            unseen: conduct where the camera fails, of all robots or of each, see `Pilot`.
+        """
         robots = len(modes)
         policy = self.make_policy(robots)
-        # Robots of other modes obey none, but their traces tell what `memory` would do.
+        # Robots of other modes obey no selector, but their traces record mode memory's answers.
         kinds = ["memory", "switch"] if "switch" in modes else ["memory"]
         selectors = {kind: self.make_selector(kind, robots) for kind in kinds}
         return Pilot(policy, selectors, modes, unseen)
@@ -168,5 +181,5 @@ class Evaluator:
         seed: int,
         unseen: Unseen | Sequence[Unseen] = "walk",
     ) -> Rollout:
-        """Prepare a run of the policy under study; see `Rollout` and, for `unseen`, `Pilot`."""
+        """Prepare a run of the policy under study; see `Rollout`, and `Pilot` for `unseen`."""
         return Rollout(env, self.make_pilot(pilot_modes(trials), unseen), trials, seed)

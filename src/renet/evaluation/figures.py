@@ -1,8 +1,8 @@
-"""Figures: one look for all of them, drawn without a display, saved whole with their provenance."""
+"""Figures of studies in one style, drawn without a display and saved with their provenance."""
 
 import io
 from collections.abc import Callable, Mapping, Sequence
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,23 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from renet.evaluation.results import Provenance, grouped
+from renet.evaluation.results import Provenance, column, group_by
 from renet.faults import fault_class
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
 from renet.palette import BLIND, REMEMBERS, SEES
 
-LOSS, PROBABILITY = "#3c3ca0", "#64aa5f"
-FAMILIES = {
+_LOSS = "#3c3ca0"
+_PROBABILITY = "#64aa5f"
+_NOISE_COLOURS = {
     "gaussian": ("#9ecae1", "#4292c6", "#084594"),
     "salt_and_pepper": ("#fdae6b", "#f16913", "#a63603"),
 }
-INK, FAINT = "#222730", "#8a919c"
+"""Colours of each noise, in the order of its levels."""
+INK = "#222730"
+"""Colour of text and lines."""
+FAINT = "#8a919c"
+"""Colour of what is less important."""
 MODE_COLOURS = {
     "camera": SEES,
     "memory": REMEMBERS,
@@ -53,20 +58,20 @@ STYLE: dict[Any, Any] = {
     "ytick.color": "#555c66",
     "legend.frameon": False,
     "lines.linewidth": 1.6,
-    # Names come from files and command lines: a dollar sign in them begins no formula.
+    # Names from files and command lines may hold a dollar sign, which is no formula.
     "text.parse_math": False,
 }
-"""Style under which every figure of a study is drawn and saved."""
+"""Style in which every figure of a study is drawn and saved."""
 
 
-def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> Path:
+def save_figure(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> Path:
     """Write a PNG, atomically, with its provenance as last line and in its metadata.
 
-    Ticks are made now, by matplotlib's present style.
+    matplotlib makes ticks only now, in its current style.
     """
     line = provenance.line
-    shown = line if len(line) <= 150 else line[:149] + "…"
-    figure.supxlabel(shown, fontsize=6.5, color=FAINT, x=0.01, ha="left")
+    footer = line if len(line) <= 150 else line[:149] + "…"
+    figure.supxlabel(footer, fontsize=6.5, color=FAINT, x=0.01, ha="left")
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=dpi, metadata={"Description": line})
     plt.close(figure)
@@ -75,7 +80,7 @@ def save(figure: Figure, path: Path, provenance: Provenance, dpi: int = 150) -> 
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:
-    """A figure as PNG, which is then closed."""
+    """Render a figure as PNG and close it."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=dpi)
     plt.close(figure)
@@ -83,12 +88,12 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
 
 
 def setting_label(finding: dict[str, Any]) -> str:
-    """A finding's setting, such as "glare 5 on gap"."""
+    """Label of a finding's setting, such as "glare 5 on gap"."""
     return f"{finding['fault']} {finding['severity']} on {finding['ground'].replace('_', ' ')}"
 
 
 def noise_label(noise: str, level: float) -> str:
-    """A noise setting as the paper writes it, such as "GA 30 %"."""
+    """Label of a noise setting as in the paper, such as "GA 30 %"."""
     if noise == "none":
         return "no noise"
     short = {"gaussian": "GA", "salt_and_pepper": "SP"}.get(noise)
@@ -104,11 +109,12 @@ def speed_over_time(
 
     Args:
         curves: mode → (noise, level) → [T] m/s, mean over the robots.
-        onset: seconds at which the noise begins. command: commanded speed, m/s.
+        onset: time at which the noise begins, s.
+        command: commanded speed, m/s.
     """
     figure, axes = plt.subplots(1, len(curves), figsize=(11, 4.2), sharey=True, squeeze=False)
     for axis, letter, (mode, settings) in zip(axes[0], "abcdef", curves.items(), strict=False):
-        shades = {noise: cycle(FAMILIES.get(noise, ("#7d8590",))) for noise, _ in settings}
+        shades = {noise: cycle(_NOISE_COLOURS.get(noise, ("#7d8590",))) for noise, _ in settings}
         for (noise, level), speed in settings.items():
             look: Any = {"color": next(shades[noise]), "label": noise_label(noise, level)}
             axis.plot(smooth(speed), "--" if noise == "none" else "-", **look)
@@ -122,28 +128,29 @@ def speed_over_time(
 
 
 def smooth(values: np.ndarray) -> np.ndarray:
-    """A centred moving mean over about half a gait cycle, shorter at both ends."""
+    """Centred moving mean over about half a gait cycle, shorter at both ends."""
     kernel = np.ones(13)
     total = np.convolve(values, kernel, "same")
     return total / np.convolve(np.ones_like(values), kernel, "same")
 
 
 Cells = Mapping[tuple[str, str], tuple[float, str]]
-"""Percent, which gives the colour, and text, by row and column."""
+"""Value in percent, which sets the colour, and text of each cell, by row and column."""
 
 
 def mean_cells(
     runs: Sequence[dict[str, Any]],
     share: Callable[[dict[str, Any]], float],
-    column: str = "severity",
+    heading: str = "severity",
 ) -> Cells:
-    """Mean shares of the runs in percent, by fault and `column`."""
+    """Mean shares of runs in percent, by fault and another column of the rows, the heading."""
     cells = {}
-    for (fault, name), group in grouped(runs, "fault", column).items():
+    for (fault, name), group in group_by(runs, "fault", heading).items():
         shares = np.array([100 * share(run) for run in group])
         shares = shares[~np.isnan(shares)]
-        cell = (shares.mean(), f"{shares.mean():.0f}") if shares.size else (np.nan, "–")
-        cells[fault, str(name).replace("_", "\n")] = cell
+        mean = shares.mean() if shares.size else np.nan
+        text = f"{mean:.0f}" if shares.size else "–"
+        cells[fault, str(name).replace("_", "\n")] = (mean, text)
     return cells
 
 
@@ -153,20 +160,31 @@ def colour_tables(
     """Coloured tables side by side with the same rows, dark for 100, light for 0.
 
     Args:
-        panels: by title. title: of all.
-        xlabel: what the columns are. width: of a column, inches.
+        panels: cells of each table, by its title.
+        title: title of the figure.
+        xlabel: name of the columns' quantity.
+        width: width of a column, inches.
     """
-    rows = list(dict.fromkeys(row for panel in panels.values() for row, _ in panel))
-    columns = list(dict.fromkeys(column for panel in panels.values() for _, column in panel))
+    # Rows and columns of all panels, in the order in which they first occur.
+    rows: list[str] = []
+    columns: list[str] = []
+    for row, heading in chain.from_iterable(panels.values()):
+        if row not in rows:
+            rows.append(row)
+        if heading not in columns:
+            columns.append(heading)
     with plt.rc_context({"axes.grid": False, "axes.spines.left": False}):
         size = (2.2 + width * len(columns) * len(panels), 1.4 + 0.3 * len(rows))
         figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
         for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
-            shade = [[panel.get((r, c), (np.nan, ""))[0] for c in columns] for r in rows]
-            axis.imshow(np.array(shade, float), vmin=0, vmax=130, cmap="Blues", aspect="auto")
-            for (row, column), (value, text) in panel.items():
+            shade = np.full((len(rows), len(columns)), np.nan)
+            for (row, heading), (value, _) in panel.items():
+                shade[rows.index(row), columns.index(heading)] = value
+            # A range beyond 100 keeps the darkest cells from being black.
+            axis.imshow(shade, vmin=0, vmax=130, cmap="Blues", aspect="auto")
+            for (row, heading), (value, text) in panel.items():
                 ink = "white" if value > 80 else INK
-                place = columns.index(column), rows.index(row)
+                place = (columns.index(heading), rows.index(row))
                 axis.text(*place, text, ha="center", va="center", fontsize=8, color=ink)
             axis.set_xticks(range(len(columns)), columns, fontsize=8)
             axis.set_yticks(range(len(rows)), [row.replace("_", " ") for row in rows])
@@ -183,29 +201,35 @@ def share_panels(
     xlabel: str = "",
     rotation: float = 0.0,
 ) -> Figure:
-    """Shares of robots that cross with their intervals, a line for each mode, up to four in a row.
+    """Panels with shares of robots that cross and their intervals, a line for each mode.
 
     Args:
-        panels: rows of a summary, by title.
-        name: of the share, whose columns are NAME_rate, NAME_ci95_low and NAME_ci95_high.
-        tick: a row's place, in even steps in the order in which these first occur.
-        xlabel: what the horizontal axis shows. rotation: of its ticks' texts, degrees.
+        panels: rows of a summary, by title; up to four panels are side by side.
+        name: name of the share, whose columns are NAME_rate, NAME_ci95_low and NAME_ci95_high.
+        tick: label of a row's place; places are evenly spaced, in the order in which their labels
+            first occur.
+        xlabel: label of the horizontal axis.
+        rotation: rotation of the tick labels, degrees.
     """
     columns = min(len(panels), 4)
     rows = -(-len(panels) // columns)
-    size = (max(2.5 * columns, 6.8) + 0.9, 2.4 * rows + 0.8)  # Wide enough for the legend.
+    # Wide enough for the legend.
+    size = (max(2.5 * columns, 6.8) + 0.9, 2.4 * rows + 0.8)
     figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
     for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):
-        places, modes = [*dict.fromkeys(map(tick, runs))], grouped(runs, "mode")
-        # Side by side, or equal shares would hide each other.
+        places = list(dict.fromkeys(map(tick, runs)))
+        modes = group_by(runs, "mode")
+        # Modes are side by side, or equal shares would hide each other.
         apart = 0.012 * max(len(places) - 1, 1)
         for number, ((mode,), line) in enumerate(modes.items()):
-            ends = ("rate", "ci95_low", "ci95_high")
-            share, *interval = np.array([[100 * run[f"{name}_{e}"] for run in line] for e in ends])
-            x = [places.index(tick(run)) + (number - (len(modes) - 1) / 2) * apart for run in line]
+            shift = (number - (len(modes) - 1) / 2) * apart
+            x = [places.index(tick(run)) + shift for run in line]
+            share = 100 * np.array(column(line, f"{name}_rate"))
+            low = 100 * np.array(column(line, f"{name}_ci95_low"))
+            high = 100 * np.array(column(line, f"{name}_ci95_high"))
             look: Any = {"color": MODE_COLOURS[mode], "label": mode}
             look |= {"fmt": "o--" if mode == "blind" else "o-", "markersize": 4, "elinewidth": 1}
-            axis.errorbar(x, share, np.abs(interval - share), **look)
+            axis.errorbar(x, share, np.abs([low - share, high - share]), **look)
         axis.set_xticks(range(len(places)), places, rotation=rotation)
         axis.set_title(title, fontsize=9)
     for axis in axes.flat[len(panels) :]:
@@ -218,7 +242,7 @@ def share_panels(
 
 
 def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
-    """A bar for each mode with its count of `of` robots written on its end."""
+    """Bar for each mode, with its count out of `of` robots written on its end."""
     figure, axis = plt.subplots(figsize=(9, 0.9 + 0.55 * len(counts)))
     colours = [MODE_COLOURS[mode] for mode in counts]
     bars = axis.barh([*counts], [*counts.values()], color=colours)
@@ -234,39 +258,47 @@ def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
 def timeline(
     line: Mapping[str, Any], marks: Sequence[tuple[float, str]], beta: float, title: str
 ) -> Figure:
-    """The paper's timeline of one robot; see `draw_timeline`."""
+    """The paper's timeline of one robot; see `_draw_timeline`."""
     figure, axis = plt.subplots(figsize=(11, 3.7))
-    right = draw_timeline(axis, line, marks, beta)
+    right = _draw_timeline(axis, line, marks, beta)
     axis.set(title=title, xlabel="time (s)", ylabel="anomaly score")
     legend(figure, axis, right)
     return figure
 
 
-def draw_timeline(
+def _draw_timeline(
     axis: Axes,
     line: Mapping[str, Any],
     marks: Sequence[tuple[float, str]],
     beta: float,
     every: float = CONTROL_DT,
 ) -> Axes:
-    """Draw loss, threshold, the estimator in charge, and on a right axis, which is returned, P.
+    """Draw loss, threshold and the estimator in charge, and the vision probability P.
 
     Args:
-        axis: to draw on.
-        line: `anomaly`, `probability` and `vision` (VP in charge), [T] each, `every` s apart.
-        marks: instants to point out, (seconds, text). beta: threshold.
+        axis: axis to draw on.
+        line: `anomaly`, `probability` and `vision` (VP in charge), [T] each.
+        marks: times to point out, s, with their texts.
+        beta: threshold on the anomaly score.
+        every: time between two values, s.
+
+    Returns:
+        The right axis, with P.
     """
     vision = np.array(line["vision"], bool)
-    # A robot that was set down has no score before its first tick.
+    # A robot has no score before its first tick, which a logarithmic axis would show as a dive.
     anomaly = np.array(line["anomaly"], float)
     anomaly[anomaly <= 0] = np.nan
-    time, height = np.arange(len(anomaly)) * every, axis.get_xaxis_transform()
-    axis.plot(time, anomaly, color=LOSS, label="reconstruction loss")
+    time = np.arange(len(anomaly)) * every
+    height = axis.get_xaxis_transform()
+    axis.plot(time, anomaly, color=_LOSS, label="reconstruction loss")
     axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
     for acts, colour, label in ((vision, SEES, "VP in charge"), (~vision, BLIND, "OP in charge")):
         look = {"color": colour, "alpha": 0.3, "linewidth": 0, "label": label}
+        # A step's colour reaches until the next step.
         until_next = acts | np.insert(acts[:-1], 0, False)
         axis.fill_between(time, 0, 1, until_next, step="post", transform=height, **look)
+    # Leave room above the curve for the marks' texts.
     top = 4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta)
     axis.set(yscale="log", ylim=(None, top), xlim=(0, time[-1]))
     for instant, text in marks:
@@ -274,20 +306,22 @@ def draw_timeline(
         write_beside(axis, instant, text, 1.0, xytext=(3, -10))
     right = axis.twinx()
     label = "vision probability P"
-    right.plot(time, np.array(line["probability"]), "--", color=PROBABILITY, label=label)
+    right.plot(time, np.array(line["probability"]), "--", color=_PROBABILITY, label=label)
     right.set(ylim=(-0.05, 1.25), yticks=np.linspace(0, 1, 6))
-    right.set_ylabel("P", color=PROBABILITY)
+    right.set_ylabel("P", color=_PROBABILITY)
     right.grid(False)
     return right
 
 
 def write_beside(axis: Axes, instant: float, text: str, height: float, **look: Any) -> None:
-    """Write beside an instant, at a share of the axis' height."""
+    """Write a text beside an instant, at a share of the axis' height."""
     look = {"xytext": (0, 0), "textcoords": "offset points", "fontsize": 7.5} | look
     axis.annotate(text, (instant, height), xycoords=("data", "axes fraction"), **look)
 
 
 def legend(figure: Figure, *axes: Axes) -> None:
-    """Explain the lines of some axes above a figure."""
-    handles = [handle for axis in axes for handle in axis.get_legend_handles_labels()[0]]
+    """Add a legend of the lines of some axes above a figure."""
+    handles = []
+    for axis in axes:
+        handles += axis.get_legend_handles_labels()[0]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), fontsize=9)

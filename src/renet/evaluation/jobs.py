@@ -1,6 +1,7 @@
-"""Makes a study's parts in several processes, each of which has its share of the processors.
+"""Several processes that make a study's parts, each with its share of the processors.
 
-A process has an evaluator of its own, is given one part after the other, and keeps each on disk.
+A process has an evaluator of its own. It receives the names of one group of parts after the other,
+makes them and keeps them on disk.
 """
 
 from __future__ import annotations
@@ -26,37 +27,38 @@ from rich.progress import Progress, TaskID
 from renet.errors import RenetError
 from renet.terminal import tell_progress
 
-BETWEEN_NEWS = 0.2
-"""Least time in seconds between two messages on a part's progress."""
-PATIENCE = 20.0
-"""Seconds that a process has for ending when it is told to."""
+_NEWS_INTERVAL = 0.2
+"""Shortest time between two messages about a part's progress, s."""
+_EXIT_TIMEOUT = 20.0
+"""Time that a process has to exit after it is told to, s."""
 
 
-class Parted(Protocol):
-    """A study, of a class that other processes can import."""
+class PicklableStudy(Protocol):
+    """Study of a class that other processes can import."""
 
     def part_maker(self) -> Callable[[str], Any]:
-        """What makes the parts by their names, and keeps them on disk."""
+        """Make a function that makes a part by its name, and keeps it on disk."""
         ...
 
 
 @dataclass(frozen=True)
-class Progressed:
-    """A process is making a part."""
+class ProgressMessage:
+    """Message of a process about the part it is making."""
 
     title: str
     done: int
-    """Steps."""
+    """Number of steps that are done."""
     total: int
+    """Number of all steps."""
 
 
 @dataclass(frozen=True)
-class Failed:
-    """A process could not make a part."""
+class FailureMessage:
+    """Message of a process that could not make a part."""
 
     reason: str
     correctable: bool
-    """Whether the reason is a RenetError's; else it is a traceback."""
+    """True if the reason is the message of a RenetError; else it is a traceback."""
 
 
 @dataclass
@@ -70,73 +72,80 @@ class Job:
     """Names of the parts it makes; none before the first."""
 
 
-def make_parts(study: Parted, groups: Sequence[Sequence[str]], jobs: int) -> None:
+def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int) -> None:
     """Make parts of a study, and keep them on disk.
 
     Args:
-        study: its `make_evaluator` is called in every process.
-        groups: names of the parts; one process makes those of a group. jobs: number of processes.
+        study: its `part_maker` is called in every process.
+        groups: names of the parts; one process makes those of a group.
+        jobs: number of processes.
 
     Raises:
-        RenetError: the first that a process raised; a process ended without a word; or the study
-            is of a class that other processes cannot import.
+        RenetError: the first that a process raised; or a process ended without a message; or the
+            study is of a class that other processes cannot import.
     """
     try:
-        pickled = pickle.dumps(study)
+        study_bytes = pickle.dumps(study)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise RenetError(f"--jobs needs a study that other processes can import: {error}") from None
     waiting = list(groups)
     running: list[Job] = []
-    with Progress(console=Console(stderr=True)) as bars, _ended(running):
+    with Progress(console=Console(stderr=True)) as bars, _terminating(running):
         whole = bars.add_task(f"{'parts':<24}", total=sum(map(len, groups)))
         for processors in _shares(jobs):
             bar = bars.add_task(f"{'starting':<24}", total=None)
-            running.append(Job(*_start(pickled, processors), bar))
+            running.append(Job(*_start(study_bytes, processors), bar))
         while running:
-            for connection in wait([job.connection for job in running]):
-                job = next(job for job in running if job.connection is connection)
-                news = _received(job)
-                if isinstance(news, Progressed):
+            jobs_by_connection: dict[Any, Job] = {job.connection: job for job in running}
+            for connection in wait(list(jobs_by_connection)):
+                job = jobs_by_connection[connection]
+                news = _receive(job)
+                if isinstance(news, ProgressMessage):
                     title = f"{news.title:<24}"
                     bars.update(job.bar, description=title, completed=news.done, total=news.total)
                     continue
+                # The job is ready for its next parts; an empty list ends it.
                 bars.advance(whole, len(job.parts))
                 job.parts = waiting.pop(0) if waiting else ()
                 job.connection.send(job.parts)
                 if not job.parts:
-                    # It stays among those that run until it has ended: Ctrl-C may come meanwhile.
+                    # Remove it only after its exit: it must be known if Ctrl-C comes meanwhile.
                     job.process.join()
                     running.remove(job)
                     bars.remove_task(job.bar)
 
 
 def _shares(jobs: int) -> list[list[int]]:
-    """Processors of each job; with more jobs than processors some share one."""
+    """Processors of each job; some jobs share one if there are more jobs than processors."""
     processors = sorted(os.sched_getaffinity(0))
     shares = np.array_split(processors, min(jobs, len(processors)))
     return [shares[job % len(shares)].tolist() for job in range(jobs)]
 
 
-def _start(pickled: bytes, processors: list[int]) -> tuple[BaseProcess, Connection]:
+def _start(study_bytes: bytes, processors: list[int]) -> tuple[BaseProcess, Connection]:
     """Start a process, and return it with this end of its connection."""
-    # To fork a process with threads, such as PyTorch's, is not safe.
+    # Forking a process with threads, such as PyTorch's, is not safe.
     context = get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(theirs, processors), daemon=True)
-    # A terminal sends Ctrl-C to all processes. Only this one is to speak of it.
+    # A terminal sends Ctrl-C to all processes, but only this one handles it.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         process.start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     theirs.close()
-    with suppress(BrokenPipeError):  # It has ended, which its job's first message says.
-        ours.send_bytes(pickled)
+    # If the process has exited already, the job's first message tells.
+    with suppress(BrokenPipeError):
+        ours.send_bytes(study_bytes)
     return process, ours
 
 
-def _received(job: Job) -> Progressed | None:
-    """The next message of a job; None: it is ready for parts. Raises RenetError for a failure."""
+def _receive(job: Job) -> ProgressMessage | None:
+    """Receive the next message of a job; None: it is ready for parts.
+
+    Raises RenetError for a failure that the user can correct, RuntimeError for any other.
+    """
     try:
         news = job.connection.recv()
     except EOFError:
@@ -145,7 +154,7 @@ def _received(job: Job) -> Progressed | None:
             f"the process that made {', '.join(job.parts) or 'nothing yet'} ended with code"
             f" {job.process.exitcode}; if memory was short, give fewer --jobs"
         ) from None
-    if isinstance(news, Failed):
+    if isinstance(news, FailureMessage):
         if news.correctable:
             raise RenetError(news.reason)
         raise RuntimeError(f"{', '.join(job.parts)} failed in a process:\n{news.reason}")
@@ -153,15 +162,15 @@ def _received(job: Job) -> Progressed | None:
 
 
 @contextmanager
-def _ended(jobs: list[Job]) -> Iterator[None]:
-    """End the processes that still run at the end, which is early after an error or Ctrl-C."""
+def _terminating(jobs: list[Job]) -> Iterator[None]:
+    """End the processes that still run when the block ends, also after an error or Ctrl-C."""
     try:
         yield
     finally:
         for job in jobs:
             job.process.terminate()
         for job in jobs:
-            job.process.join(PATIENCE)
+            job.process.join(_EXIT_TIMEOUT)
             job.process.kill()
             job.process.join()
             job.connection.close()
@@ -169,21 +178,21 @@ def _ended(jobs: list[Job]) -> Iterator[None]:
 
 def _work(connection: Connection, processors: list[int]) -> None:
     """Make the parts that the other end of the connection names, until it names none."""
-    # Of these, Python's exit removes what is half-written.
+    # An exit of Python's, unlike a kill, removes files that are half-written.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    # All thread pools, which begin with the imports below, count the processors.
+    # Thread pools, which start with the imports below, have one thread for each processor.
     os.sched_setaffinity(0, processors)
-    told = 0.0
+    last = 0.0
 
     def tell(title: str, done: int, total: int) -> None:
-        nonlocal told
-        if time.monotonic() - told >= BETWEEN_NEWS:
-            told = time.monotonic()
-            connection.send(Progressed(title, done, total))
+        nonlocal last
+        if time.monotonic() - last >= _NEWS_INTERVAL:
+            last = time.monotonic()
+            connection.send(ProgressMessage(title, done, total))
 
     tell_progress(tell)
     try:
-        # The study comes only now, for its imports make thread pools.
+        # Unpickling the study imports its modules, which start thread pools.
         make = connection.recv().part_maker()
         connection.send(None)
         while names := connection.recv():
@@ -191,8 +200,8 @@ def _work(connection: Connection, processors: list[int]) -> None:
                 make(name)
             connection.send(None)
     except RenetError as error:
-        connection.send(Failed(str(error), correctable=True))
+        connection.send(FailureMessage(str(error), correctable=True))
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        pass  # The other end is gone: nobody waits for parts.
+        pass  # The other end has exited and waits for no parts.
     except Exception:
-        connection.send(Failed(traceback.format_exc(), correctable=False))
+        connection.send(FailureMessage(traceback.format_exc(), correctable=False))

@@ -1,4 +1,4 @@
-"""A window or a browser in which robots are watched while they walk."""
+"""Live views of walking robots, in a window or a browser."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from renet.palette import STATES, rgb
 from renet.server import LOOPBACK, serve_scene
 
 Viewer = Literal["auto", "window", "browser", "none"]
-"""Where robots are watched; auto: in a window where there is a display."""
+"""Place of the view; auto: a window if there is a display."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
-"""Variables of the environment that say where windows appear on Linux."""
-EVERY = 2
-"""Control steps from one picture to the next: 25 pictures a second."""
-SHAPES = 3
-"""MuJoCo group of the shapes that robots collide with, shown where there are no visual meshes."""
-GHOST = 0.35
+"""Environment variables that name a display on Linux."""
+STEPS_PER_PICTURE = 2
+"""Number of control steps from one picture to the next: 25 pictures a second."""
+_COLLISION_GROUP = 3
+"""MuJoCo's group of collision geoms, which are shown if a robot has no visual meshes."""
+_GHOST_OPACITY = 0.35
 """Opacity of all robots but the last."""
 
 
 class LiveView(Protocol):
-    """Shows the poses of a few robots."""
+    """View of a few robots."""
 
     @property
     def closed(self) -> bool:
-        """Whether whoever watches has had enough."""
+        """True once the user has closed the view."""
         ...
 
     def show(self, poses: np.ndarray) -> None:
@@ -40,22 +40,22 @@ class LiveView(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the window."""
+        """Release the window or the port."""
         ...
 
 
 def has_display() -> bool:
-    """Whether a window can appear."""
+    """True if the environment names a display for windows."""
     return any(os.environ.get(name) for name in DISPLAYS)
 
 
 def open_view(viewer: Viewer, spec: mujoco.MjSpec, names: Sequence[str]) -> LiveView | None:
-    """A view of a scene; None where nobody can watch, or nobody wants to.
+    """Open a view of a scene; None if there is no display, or no view is wanted.
 
     Args:
-        viewer: where. spec: of the scene with one robot, which is copied.
-        names: what to call the robots. The last one is the scene's own; the others are shown beside
-            it, transparent.
+        viewer: place of the view.
+        spec: scene with one robot, which is copied.
+        names: names of the robots. The last one is the scene's own; the others are transparent.
 
     Raises:
         RenetError: a window is asked for, and there is no display.
@@ -76,14 +76,15 @@ def open_view(viewer: Viewer, spec: mujoco.MjSpec, names: Sequence[str]) -> Live
 
 
 def _show_shapes(model: mujoco.MjModel) -> None:
-    """Let a robot without visual meshes show what it collides with."""
+    """Make the collision geoms of a robot without visual meshes visible, in place."""
     moving = model.body_weldid[model.geom_bodyid] != 0
-    if not (model.geom_group[moving] < SHAPES).any():
+    if not (model.geom_group[moving] < _COLLISION_GROUP).any():
         model.geom_group[moving] = 0
 
 
 def _starts_windows() -> bool:
-    """Whether GLFW reaches the display: MuJoCo's viewer would wait for ever where it does not."""
+    """True if GLFW reaches the display."""
+    # MuJoCo's viewer opens its window with GLFW, and waits forever without a display.
     try:
         import glfw
     except ImportError:
@@ -92,30 +93,34 @@ def _starts_windows() -> bool:
 
 
 class WindowView:
-    """MuJoCo's own viewer: one robot, and the others as ghosts with their names."""
+    """View in MuJoCo's viewer: one robot, and the others as ghosts with their names."""
 
     def __init__(self, model: mujoco.MjModel, names: Sequence[str]) -> None:
         """Open the window."""
         import mujoco.viewer
 
-        self._model, self._names = model, names
-        self._data, self._ghost = mujoco.MjData(model), mujoco.MjData(model)
+        self._model = model
+        self._names = names
+        self._data = mujoco.MjData(model)
+        self._ghost = mujoco.MjData(model)
         self._window: Any = mujoco.viewer.launch_passive(
             model, self._data, show_left_ui=False, show_right_ui=False
         )
         self._window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         self._window.cam.trackbodyid = model.jnt_bodyid[0]
-        self._window.cam.distance, self._window.cam.elevation = 2.5, -25.0
+        self._window.cam.distance = 2.5
+        self._window.cam.elevation = -25.0
 
     @property
     def closed(self) -> bool:
-        """Whether the window was closed."""
+        """True once the window is closed."""
         return not self._window.is_running()
 
     def show(self, poses: np.ndarray) -> None:
         """Show robots with generalised positions [R, nq]."""
         if self.closed:
             return
+        # The last robot is the scene's own, the others are drawn into it.
         *others, own = poses
         with self._window.lock():
             self._data.qpos[:] = own
@@ -131,11 +136,14 @@ class WindowView:
         first = scene.ngeom
         self._ghost.qpos[:] = pose
         mujoco.mj_kinematics(self._model, self._ghost)
-        options, nothing = mujoco.MjvOption(), mujoco.MjvPerturb()
+        options = mujoco.MjvOption()
+        perturbation = mujoco.MjvPerturb()
         moving = mujoco.mjtCatBit.mjCAT_DYNAMIC
-        mujoco.mjv_addGeoms(self._model, self._ghost, options, nothing, moving, scene)
+        mujoco.mjv_addGeoms(self._model, self._ghost, options, perturbation, moving, scene)
+        colour = np.array(rgb(STATES["blind"][0])) / 255
         for geom in scene.geoms[first : scene.ngeom]:
-            geom.rgba[:] = (*(part / 255 for part in rgb(STATES["blind"][0])), GHOST)
+            geom.rgba[:] = (*colour, _GHOST_OPACITY)
+        # The scene may be full already.
         if scene.ngeom > first:
             scene.geoms[first].label = name
 
@@ -145,17 +153,18 @@ class WindowView:
 
 
 class BrowserView:
-    """The last robot in a browser; viser tells the address."""
+    """View of the last robot in a browser; viser prints the address."""
 
     closed = False
-    """A browser may come back."""
+    """Never true, for a browser may connect again."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         """Listen on this computer; raises RenetError if mjviser is not installed."""
         self._server = serve_scene(LOOPBACK)
         import mjviser
 
-        self._model, self._data = model, mujoco.MjData(model)
+        self._model = model
+        self._data = mujoco.MjData(model)
         self._scene: Any = mjviser.ViserMujocoScene(self._server, model, num_envs=1)
 
     def show(self, poses: np.ndarray) -> None:
@@ -170,12 +179,12 @@ class BrowserView:
 
 
 class Pacer:
-    """Keeps a simulation that is watched from running ahead of the wall clock."""
+    """Brake that keeps a simulation from running faster than the wall clock."""
 
     def __init__(self) -> None:
-        self._begun = time.monotonic()
+        self._start = time.monotonic()
 
     def wait(self, step: int) -> None:
         """Return when a control step, counted from 0, is over by the clock."""
-        ahead = self._begun + (step + 1) * CONTROL_DT - time.monotonic()
+        ahead = self._start + (step + 1) * CONTROL_DT - time.monotonic()
         time.sleep(max(ahead, 0.0))

@@ -1,4 +1,4 @@
-"""What is measured: pure functions of per-step arrays, [T, N] for T control steps and N robots."""
+"""Measures: pure functions of per-step arrays, [T, N] for T control steps and N robots."""
 
 from collections.abc import Callable
 
@@ -9,17 +9,18 @@ from renet.interface import CONTROL_DT
 
 
 def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.ndarray:
-    """Seconds from the control step `start` until a robot's selector first leaves vision.
+    """Time from the control step `start` until a robot's selector first leaves vision.
 
     Args:
         vision: [T, U, N] bool, vision trusted after each of the U selector updates of a step.
-        start: the control step the fault begins at, 1 or later.
-        end: the control step it is over at; later switches do not count.
+        start: control step at which the fault begins, 1 or later.
+        end: control step at which it is over; later switches do not count.
 
     Returns:
-        [N] seconds, a multiple of the update period; 0 where vision was not trusted at `start`
-        already, NaN where it stayed trusted.
+        [N] s, a multiple of the update period; 0 where vision was not trusted before `start`, NaN
+        where it stayed trusted.
     """
+    # [steps * U, N], update by update.
     blind = ~vision[start:end].reshape(-1, vision.shape[2])
     delay = (blind.argmax(axis=0) + 1) * (CONTROL_DT / vision.shape[1])
     delay = np.where(blind.any(axis=0), delay, np.nan)
@@ -27,14 +28,15 @@ def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.n
 
 
 def false_switches(vision: np.ndarray, failing: np.ndarray) -> int:
-    """How often robots left vision, [T, U, N] bool, with no camera of theirs `failing`, [T, N]."""
+    """Number of times that robots left vision, [T, U, N] bool, while not `failing`, [T, N]."""
     flat = vision.reshape(-1, vision.shape[2])
     healthy = ~np.repeat(failing, vision.shape[1], axis=0)
+    # Vision was trusted at one update and not at the next.
     return int((flat[:-1] & ~flat[1:] & healthy[1:]).sum())
 
 
 def healthy_hours(failing: np.ndarray) -> float:
-    """Robot hours with a healthy camera in `failing` [T, N]."""
+    """Robot hours with a healthy camera, from `failing` [T, N]."""
     return float((~failing).sum()) * CONTROL_DT / 3600
 
 
@@ -61,7 +63,7 @@ def share_interval(successes: np.ndarray) -> tuple[float, float]:
     """Clopper and Pearson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0.
 
     It is exact: it covers the true share at least 95 % of the time, however few robots there are.
-    Where all of them end alike it still has a width, unlike a bootstrap's.
+    Unlike a bootstrap's, it has a width even if all robots end alike.
     """
     test = scipy.stats.binomtest(int(successes.sum()), len(successes))
     low, high = test.proportion_ci(0.95, "exact")
@@ -83,8 +85,8 @@ def with_interval(
 
 
 def poisson_upper(count: int) -> float:
-    """The largest expected number of events that `count` or fewer of them do not rule out.
+    """Exact one-sided 95 % upper limit of a Poisson mean after `count` events.
 
-    The exact one-sided 95 % limit: the mean at which so few events have a probability of 5 %.
+    At this mean, `count` or fewer events have a probability of 5 %.
     """
     return float(scipy.stats.chi2.ppf(0.95, 2 * (count + 1))) / 2

@@ -1,4 +1,4 @@
-"""Records the monitors' scores in a rollout, and what other selectors would have answered."""
+"""Scores of the monitors in a rollout, and answers of other selectors to them."""
 
 from itertools import pairwise
 
@@ -11,7 +11,7 @@ from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 
 class MonitorLog:
-    """Records every monitor's score; a rollout's `on_update`."""
+    """Record of every monitor's score; pass it as a rollout's `on_update`."""
 
     def __init__(self, num_robots: int) -> None:
         self._scorer = Scorer(num_robots)
@@ -19,7 +19,7 @@ class MonitorLog:
         self._updates = 0
 
     def __call__(self, seen: SelectorInput) -> None:
-        """Take the scores of one update; a tick keeps the highest of its updates."""
+        """Record the scores of one update; a tick keeps the highest of its updates."""
         scores = self._scorer.scores(seen)
         if self._updates % (UPDATES_PER_STEP * STEPS_PER_TICK) == 0:
             self._ticks.append(scores)
@@ -34,18 +34,21 @@ class MonitorLog:
 
 
 def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]:
-    """Robot and vision ticks of every episode that succeeded, cameras healthy.
+    """Robot and vision ticks of every successful episode of a run with healthy cameras.
 
-    It did not end in a fall, and the robot came at least half as far as it was told to (the
-    curriculum's rule): one that stands with its nose to a step sees a blank image. A robot still
-    walking when the run ends succeeded, too. The steps between a restart and the next tick see an
-    old image and are left out. A commanded `speed` of 0 m/s forgives standing still.
+    An episode succeeds if it does not end in a fall and the robot covers at least half of the
+    commanded distance (the curriculum's rule), for a robot stuck in front of a step sees a blank
+    image. A robot still walking when the run ends succeeds, too. The steps between a restart and
+    the next tick have an old image and are left out. With a `speed` of 0 m/s, standing still is a
+    success.
     """
     runs = []
     for robot in range(trace.anomaly.shape[1]):
         edges = [0, *(np.flatnonzero(trace.ended[:, robot]) + 1).tolist(), len(trace.anomaly)]
         for start, end in pairwise(edges):
-            first, beyond = -(-start // STEPS_PER_TICK), -(-end // STEPS_PER_TICK)
+            # Ticks of the episode; -(-a // b) rounds up.
+            first = -(-start // STEPS_PER_TICK)
+            beyond = -(-end // STEPS_PER_TICK)
             if beyond <= first or trace.fell[end - 1, robot]:
                 continue
             # The last step's reading may be the next start's.
@@ -58,20 +61,26 @@ def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]
 def healthy_series(
     log: MonitorLog, trace: Trace, speed: float = 0.0
 ) -> dict[str, list[np.ndarray]]:
-    """Scores of the episodes that succeeded, [T] each, by monitor name; see `successful_runs`."""
+    """Scores of the successful episodes, [T] each, by monitor name; see `successful_runs`."""
     runs = successful_runs(trace, speed)
-    return {
-        name: [table[ticks, robot] for robot, ticks in runs] for name, table in log.scores.items()
-    }
+    series = {}
+    for name, table in log.scores.items():
+        series[name] = [table[ticks, robot] for robot, ticks in runs]
+    return series
 
 
-def replay(selector: Selector, anomaly: np.ndarray) -> np.ndarray:
-    """A selector's answers [T, U, N] to the anomaly scores [T, N] of a run, which did not obey it.
+def replay_selector(selector: Selector, anomaly: np.ndarray) -> np.ndarray:
+    """Answers of a selector to the anomaly scores of a run that did not obey it.
 
-    It judges anomaly scores alone, as the paper's does.
+    Args:
+        selector: judges anomaly scores alone, as the paper's does.
+        anomaly: anomaly scores, [T, N].
+
+    Returns:
+        Answers, true where vision is trusted, [T, U, N].
     """
-    answers = [
-        selector.update(SelectorInput(score), number * PHYSICS_DT).copy()
-        for number, score in enumerate(np.repeat(anomaly, UPDATES_PER_STEP, axis=0), start=1)
-    ]
+    answers = []
+    for number, score in enumerate(np.repeat(anomaly, UPDATES_PER_STEP, axis=0), start=1):
+        answer = selector.update(SelectorInput(score), number * PHYSICS_DT)
+        answers.append(answer.copy())
     return np.array(answers).reshape(len(anomaly), UPDATES_PER_STEP, -1)

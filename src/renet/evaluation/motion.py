@@ -1,4 +1,4 @@
-"""How simulated robots move: the truth behind what their own sensors say."""
+"""Motion of simulated robots: true values that their own sensors do not measure."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,8 @@ class Motion:
     twist: np.ndarray
     """(v_x, v_y) in m/s and omega_z in rad/s of the base, in its own frame without tilt, [N, 3]."""
     position: np.ndarray
-    """Where the base is, in a frame at the start, x along the heading to be kept, [N, 2] m."""
+    """Horizontal position of the base, [N, 2] m, in a frame at the start, x along the commanded
+    heading."""
     slip: np.ndarray
     """Mean speed of the feet that touch the ground, [N] m/s."""
     power: np.ndarray
@@ -40,8 +41,10 @@ class MotionSensor:
         self._feet_before: torch.Tensor | None = None
 
     def read(self) -> Motion:
-        """The motion after the newest step; slip is 0 at the first."""
-        env, robot = self._env, self._robot
+        """Read the motion after the newest step; slip is 0 at the first."""
+        env = self._env
+        robot = self._robot
+        # The velocity is turned into the base's heading, the position into the commanded one.
         velocity = rotated(base_velocity(env)[:, :2], -base_heading(env))
         turn_rate = env.sim.data.qvel[:, robot.indexing.free_joint_v_adr[5]]
         way = (base_position(env) - env.scene.env_origins)[:, :2]
@@ -54,11 +57,12 @@ class MotionSensor:
         )
 
     def _slip(self) -> torch.Tensor:
-        """Mean speed of the feet that touch, [N] m/s, from how far they moved since last time."""
+        """Mean speed of the feet in contact, [N] m/s, from their positions now and one step ago."""
         env = self._env
         feet = env.sim.data.site_xpos[:, self._feet, :2].clone()
         before = feet if self._feet_before is None else self._feet_before
         self._feet_before = feet
+        # A foot in the air does not slip.
         touches = env.scene[FEET_CONTACT].data.found > 0
         speed = (feet - before).norm(dim=-1) / env.step_dt
         return (speed * touches).sum(-1) / touches.sum(-1).clamp_min(1)

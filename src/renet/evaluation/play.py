@@ -1,4 +1,4 @@
-"""`renet play`: watch and film a bundle or a checkpoint whose camera fails, on any ground."""
+"""Films of a bundle or a checkpoint whose camera fails, on any ground: `renet play`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,16 @@ import tyro
 
 from renet.bundle import MANIFEST, find_bundle
 from renet.errors import RenetError
-from renet.evaluation.live import EVERY, Pacer, Viewer, open_view
+from renet.evaluation.live import STEPS_PER_PICTURE, Pacer, Viewer, open_view
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial, check_finite, check_modes
+from renet.evaluation.rollout import (
+    FLAT_GROUND,
+    PARKOUR,
+    StudyMode,
+    Trial,
+    check_finite,
+    check_modes,
+)
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT, Engine, Terrain
 
@@ -25,14 +32,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlayCfg:
-    """Watch one robot, once for each policy mode, and film them side by side.
+    """Watch a robot in each of several policy modes, and film them side by side.
 
     By default its camera is unplugged half a second before a gap of 37 cm.
     """
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder, or a checkpoint or run folder; or the name of a bundle that ships: go1-parkour
-    (the default), go2-parkour."""
+    """Bundle folder, or a checkpoint or run folder; or the name of a bundle that comes with renet:
+    go1-parkour (the default), go2-parkour."""
     out: Path | None = None
     """The film; results/play.mp4 by default."""
     terrain: Terrain | Literal["parkour"] = "gap"
@@ -42,16 +49,16 @@ class PlayCfg:
     scene: Path | None = None
     """Ground of your own instead: a height map (.npy in m, .png) or an MJCF scene (.xml)."""
     scene_width: float = 8.0
-    """Metres that a height map is wide; of more than 8 it takes a piece."""
+    """Width of a height map, m; of a map wider than 8 m a piece is taken."""
     scene_height: float = 0.3
-    """Metres of white above black in a .png."""
+    """Height of white above black in a .png, m."""
     fault: tuple[str, ...] = ("unplugged@1.5s",)
-    """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s; --fault
-    alone: none."""
-    modes: tuple[Mode, ...] = ("switch", "memory")
+    """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s; none with
+    --fault alone."""
+    modes: tuple[StudyMode, ...] = ("switch", "memory")
     """Policy modes to compare."""
     seconds: float = 8.0
-    """Length of the film, simulated."""
+    """Simulated time, s."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
     seed: int = 1
@@ -59,20 +66,21 @@ class PlayCfg:
     engine: Engine = "auto"
     """Physics engine, on the CPU; auto: native."""
     viewer: Viewer = "auto"
-    """Where to watch: window (MuJoCo's; its last mode is solid, the others are transparent),
-    browser (the last mode), or none; auto: a window where there is a display. Closing the window
-    ends the walk; what was walked is filmed."""
+    """Live view: window (MuJoCo's viewer; the last mode is solid, the others are transparent),
+    browser (the last mode), or none; auto: a window if there is a display. Closing the window ends
+    the run; the film shows it up to then."""
 
 
 @contextmanager
-def opened(path: Path | None) -> Iterator[Path | None]:
-    """A bundle's folder; a checkpoint is exported to one that lasts as long as the block.
+def bundle_folder(path: Path | None) -> Iterator[Path | None]:
+    """Folder of a bundle; a checkpoint is exported to a folder that lasts as long as the block.
 
     Raises RenetError for a folder that holds neither.
     """
     if path is not None and path.is_file():
         raise RenetError(f"{path} is a file, no bundle: `renet evaluate log` draws a recording")
     folder = None if path is None else find_bundle(path)
+    # A folder without manifest is a checkpoint or a run; a missing one fails when it is loaded.
     if folder is None or (folder / MANIFEST).exists() or not folder.exists():
         yield folder
         return
@@ -83,7 +91,7 @@ def opened(path: Path | None) -> Iterator[Path | None]:
 
 
 def run_play(cfg: PlayCfg) -> Path:
-    """Drive and film the robots and return the film; raises RenetError for wrong settings."""
+    """Run and film the robots and return the film's path; raises RenetError for wrong settings."""
     out = cfg.out or Path("results/play.mp4")
     if out.suffix != ".mp4":
         raise RenetError(f"a film is an .mp4: give --out {out.name}.mp4, not {out.name}")
@@ -91,17 +99,20 @@ def run_play(cfg: PlayCfg) -> Path:
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
     check_modes(cfg.modes)
-    faults = tuple(parse_fault(text) for text in cfg.fault)
+    faults = tuple(map(parse_fault, cfg.fault))
     trials = [Trial(mode, faults) for mode in cfg.modes]
-    rows, steps = range(len(trials)), round(cfg.seconds / CONTROL_DT)
+    rows = range(len(trials))
+    steps = round(cfg.seconds / CONTROL_DT)
+    # The imports below take seconds; wrong settings fail before them.
     from renet.evaluation.evaluator import Evaluator
     from renet.evaluation.video import film
 
-    with opened(cfg.bundle) as folder:
+    with bundle_folder(cfg.bundle) as folder:
         evaluator = Evaluator(folder, cfg.engine)
         task = ground_of(cfg)
         output_folder(out.parent)
-        env = evaluator.make_env(task, [0 for _ in rows], cfg.speed, cfg.seed)
+        # All robots are twins.
+        env = evaluator.make_env(task, [0] * len(rows), cfg.speed, cfg.seed)
         rollout = evaluator.rollout(env, trials, cfg.seed)
     ground = cfg.terrain if cfg.scene is None else cfg.scene.name
     with watching(cfg, env) as on_step:
@@ -111,19 +122,19 @@ def run_play(cfg: PlayCfg) -> Path:
 
 
 def ground_of(cfg: PlayCfg) -> Any:
-    """What to make the environment of; raises RenetError for a ground that cannot be."""
+    """Task for `Evaluator.make_env`; raises RenetError for a ground that cannot be built."""
     from renet.tasks.terrains import own_ground
     from renet.terrain.own_ground import GroundFile
 
     if cfg.scene is not None:
         ground = GroundFile(file=cfg.scene, width=cfg.scene_width, height=cfg.scene_height)
         return own_ground(ground.tile(), cfg.level)
-    return cfg.terrain if cfg.terrain in (FLAT, PARKOUR) else {cfg.terrain: cfg.level}
+    return cfg.terrain if cfg.terrain in (FLAT_GROUND, PARKOUR) else {cfg.terrain: cfg.level}
 
 
 @contextmanager
 def watching(cfg: PlayCfg, env: SimEnv) -> Iterator[Callable[[int], bool]]:
-    """What to call after each control step, which shows the robots where somebody watches.
+    """Function to call after each control step, which updates the live view if there is one.
 
     It returns True once the window is closed.
     """
@@ -131,14 +142,16 @@ def watching(cfg: PlayCfg, env: SimEnv) -> Iterator[Callable[[int], bool]]:
     if view is None:
         yield lambda step: False
         return
-    pacer, robots = Pacer(), range(len(cfg.modes))
+    pacer = Pacer()
+    robots = range(len(cfg.modes))
 
     def on_step(step: int) -> bool:
-        if step % EVERY == 0:
+        if step % STEPS_PER_PICTURE == 0:
             view.show(env.poses(robots))
         pacer.wait(step)
         return view.closed
 
+    # The window closes after errors, too.
     try:
         yield on_step
     finally:

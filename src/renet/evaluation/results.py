@@ -1,4 +1,4 @@
-"""Files of results: JSON, CSV and Markdown, written whole or not at all."""
+"""Files of results: JSON, CSV and Markdown, written atomically."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from renet.errors import RenetError, printable
 from renet.files import read_object, write_atomically
 from renet.version import commit
 
-Row = TypeVar("Row", bound=Mapping[str, Any])
+_Row = TypeVar("_Row", bound=Mapping[str, Any])
 Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
 """Title, header and rows."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where numbers come from; every summary and figure carries it."""
+    """Origin of numbers: bundle, seed, command and code; part of every summary and figure."""
 
     bundle: str
     """Name of the bundle."""
@@ -42,16 +42,16 @@ class Provenance:
     command: str = field(
         default_factory=lambda: shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     )
-    """The command line that made them; this process's by default."""
+    """The command line that made the numbers; this process's by default."""
     date: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
-    """UTC, ISO 8601; now by default."""
+    """Date and time in UTC, ISO 8601; now by default."""
     renet_version: str = renet.__version__
     commit: str | None = field(default_factory=commit)
-    """Commit of the clone that renet runs from, if it does."""
+    """Commit of the clone that renet runs from; None for an installed package."""
 
     @property
     def line(self) -> str:
-        """One line for the foot of a figure."""
+        """The provenance as one line, for the foot of a figure."""
         return (
             f"bundle {self.bundle} {self.bundle_hash[:10]} · seed {self.seed} · {self.engine}"
             f" engine · renet {self.renet_version} · {self.date[:10]} · {self.command}"
@@ -59,7 +59,7 @@ class Provenance:
 
 
 def output_folder(path: Path) -> Path:
-    """`path` as an existing folder; raises RenetError where it cannot be made or written to."""
+    """Make a folder and return its path; raises RenetError if it cannot be made or written to."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -70,7 +70,7 @@ def output_folder(path: Path) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """`value` with NumPy types made Python's, and NaN and infinity made None and "inf"."""
+    """Convert a value for JSON: NumPy types to Python's, NaN to None, infinity to "inf"."""
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, Path):
@@ -78,7 +78,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, (np.ndarray, np.generic)):
         return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
+        return list(map(plain, value))
+    # JSON has no NaN and no infinity.
     if isinstance(value, float):
         if math.isinf(value):
             return str(value)
@@ -87,49 +88,50 @@ def plain(value: Any) -> Any:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write valid JSON (no NaN), atomically."""
+    """Write JSON without NaN, atomically."""
     text = json.dumps(plain(content), indent=2, allow_nan=False) + "\n"
     write_atomically(path, text.encode())
 
 
-MAX_JSON = 64_000_000
-"""Bytes of a summary or part; Python needs about 25 times the space."""
+MAX_RESULT_SIZE = 64_000_000
+"""Largest size of a summary or part, bytes; Python needs about 25 times as much memory."""
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """Read what `write_json` wrote; raises RenetError where it is missing, damaged or too large."""
+    """Read a file of `write_json`; raises RenetError if it is missing, damaged or too large."""
     if not path.exists():
         raise RenetError(f"{path} does not exist: run the study that writes it first")
     try:
-        return read_object(path, "result", MAX_JSON)
+        return read_object(path, "result", MAX_RESULT_SIZE)
     except RenetError as error:
         raise RenetError(f"{error}; delete it and run the study again") from error
 
 
 PARTS_FORMAT = 6
-"""Increase it when the contents of parts change: older parts are then made anew."""
+"""Version of the contents of parts; increase it when these change, to make older parts anew."""
 
 
 def part_path(folder: Path, name: str, key: dict[str, Any]) -> Path:
-    """Where a part of a study is kept; `key` is what its numbers depend on."""
+    """Path of a part of a study; `key` holds all settings that its numbers depend on."""
     key = plain(key | {"format": PARTS_FORMAT})
     digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
     return folder / f"{name}-{digest[:8]}.json"
 
 
-def kept(
+def load_or_make(
     folder: Path, name: str, key: dict[str, Any], make: Callable[[], dict[str, Any]]
 ) -> dict[str, Any]:
-    """A finished part of a study: from an earlier run, or made and written to `folder` now.
+    """Load a part of a study that an earlier run has made, or make it and write it to `folder`.
 
-    An interrupted study thus goes on where it stopped. Parts of another `key`, which is what a
-    part's numbers depend on, lie beside it. Raises RenetError for an earlier part that is damaged
-    or of other settings.
+    An interrupted study thus goes on where it stopped. `key` holds all settings that the part's
+    numbers depend on; parts with other keys lie beside it. Raises RenetError for an earlier part
+    that is damaged or of other settings.
     """
     path = part_path(folder, name, key)
     key = plain(key | {"format": PARTS_FORMAT})
     if path.exists():
         part = read_results(path)
+        # The file's name holds only the beginning of the key's hash.
         if part.get("key") != key:
             raise RenetError(
                 f"{path} is of other settings than its name says: delete it and run the study again"
@@ -140,12 +142,26 @@ def kept(
     return part
 
 
-def grouped(rows: Sequence[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Rows by their values of some columns, in the order in which these first occur."""
-    groups: dict[tuple[Any, ...], list[Row]] = {}
+def group_by(rows: Sequence[_Row], *names: str) -> dict[tuple[Any, ...], list[_Row]]:
+    """Group rows by their values of some columns, in the order in which these first occur."""
+    groups: dict[tuple[Any, ...], list[_Row]] = {}
     for row in rows:
         groups.setdefault(tuple(row[name] for name in names), []).append(row)
     return groups
+
+
+def select(rows: Sequence[_Row], **values: Any) -> list[_Row]:
+    """Rows whose columns have the given values, such as `select(runs, mode="memory")`."""
+    selection = []
+    for row in rows:
+        if all(row[name] == value for name, value in values.items()):
+            selection.append(row)
+    return selection
+
+
+def column(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
+    """Values of a column, one for each row."""
+    return [row[name] for row in rows]
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -153,24 +169,25 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(plain(row) for row in rows)
+    writer.writerows(map(plain, rows))
     write_atomically(path, text.getvalue().encode())
 
 
 def markdown(table: Table) -> str:
-    """A table under its title as Markdown; names from files are text and nothing else."""
+    """A table under its title as Markdown; text from files is escaped."""
     title, header, rows = table
     lines = [_line(header), _line(["---"] * len(header)), *map(_line, rows)]
-    return f"## {escape(title)}\n\n" + "".join(lines)
+    return f"## {_escape(title)}\n\n" + "".join(lines)
 
 
 def _line(cells: Sequence[object]) -> str:
     """A row of a table as Markdown."""
-    return f"| {' | '.join(map(escape, cells))} |\n"
+    return f"| {' | '.join(map(_escape, cells))} |\n"
 
 
-def escape(value: object) -> str:
+def _escape(value: object) -> str:
     """A value as one line of Markdown in which nothing is markup."""
+    # Names of runs and files come from users.
     line = printable(str(value))
     for character in "\\`*_[]<>|!":
         line = line.replace(character, f"\\{character}")
@@ -180,18 +197,19 @@ def escape(value: object) -> str:
 def write_summary(
     path: Path, title: str, tables: Sequence[Table], figures: Sequence[str], origin: Provenance
 ) -> None:
-    """Write a study's results for people, as Markdown, atomically.
+    """Write a study's results as Markdown, atomically.
 
     Args:
-        path: of the file.
-        title: heading of the whole.
-        tables: in their order.
+        path: path of the file.
+        title: heading of the file.
+        tables: its tables, in their order.
         figures: names of pictures in the same folder.
         origin: provenance of the numbers.
     """
-    sections = [f"# {escape(title)}\n", *map(markdown, tables)]
+    sections = [f"# {_escape(title)}\n", *map(markdown, tables)]
     if figures:
-        sections.append("".join(f"![{name}]({name})\n\n" for name in figures).rstrip("\n") + "\n")
+        pictures = [f"![{name}]({name})\n" for name in figures]
+        sections.append("\n".join(pictures))
     facts = [(name.replace("_", " "), value) for name, value in vars(origin).items()]
     sections.append(markdown(("Provenance", ("", ""), facts)))
     write_atomically(path, "\n".join(sections).encode())

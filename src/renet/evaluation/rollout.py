@@ -1,8 +1,8 @@
 """Closed-loop runs: robots, camera faults and a pilot, all settings side by side.
 
-Every robot of every setting is one row of one batched environment, so a whole study costs one run.
-One control step goes as on the robot, but for the pilot's judgement, which follows the paper's
-200 Hz: four times in a control step.
+Every robot of every setting is one row of one batched environment, so that a whole study takes one
+run. A control step is that of a real robot, except that the pilot judges its images at the paper's
+200 Hz, four times in a control step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,16 +21,16 @@ from renet.pilot.policy import Policy
 from renet.selector.monitors import SelectorInput
 from renet.terminal import progress
 
-FLAT: Final = "flat"
+FLAT_GROUND: Final = "flat"
 """Ground without tiles."""
 PARKOUR: Final = "parkour"
 """A field of all tiles at all levels."""
 ORACLE: Final = "oracle"
-"""A mode that only studies know."""
-Mode = Literal["memory", "switch", "camera", "blind", "oracle"]
-"""The pilot's modes (`interface.PilotMode`), and oracle: OP while the camera fails, else VP."""
+"""Mode that only studies have: VP, and OP exactly while the camera fails."""
+StudyMode = Literal["memory", "switch", "camera", "blind", "oracle"]
+"""Modes of a study's robots: the pilot's (`interface.PilotMode`), and `ORACLE`."""
 Conditions = Literal["nominal", "training"]
-"""What robots of a study meet beside their ground (`renet.evaluation.conditions`)."""
+"""Conditions beside the ground, see `renet.evaluation.conditions`."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Trial:
     robot: int = 0
     """Number within its setting; robots of the same number are twins that draw the same noise."""
     ground: str = "flat"
-    """Where it walks, in an environment of several grounds."""
+    """Ground it walks on, in an environment of several grounds."""
 
     def __post_init__(self) -> None:
         check_modes((self.mode,))
@@ -50,8 +50,9 @@ class Trial:
 
 def check_modes(modes: Sequence[str]) -> None:
     """Raise RenetError unless each mode is a policy mode and is given once."""
-    if not modes or not {*modes} <= {*get_args(Mode)} or len({*modes}) < len(modes):
-        names, choices = ", ".join(modes) or "none", ", ".join(get_args(Mode))
+    if not modes or not {*modes} <= {*get_args(StudyMode)} or len({*modes}) < len(modes):
+        names = ", ".join(modes) or "none"
+        choices = ", ".join(get_args(StudyMode))
         raise RenetError(f"modes {names}: choose, once each, among {choices}")
 
 
@@ -60,17 +61,17 @@ def check_grounds(levels: Mapping[str, int]) -> None:
     from renet.terrain.tiles import find_tile  # Needs MuJoCo; calibration from logs does not.
 
     for ground, level in levels.items():
-        find_tile("rough" if ground == FLAT else ground, level)
+        find_tile("rough" if ground == FLAT_GROUND else ground, level)
 
 
 def check_speed(speed: float) -> None:
-    """Raise RenetError unless robots are told to walk, `speed` m/s."""
+    """Raise RenetError unless a commanded speed, m/s, is positive."""
     if not speed > 0:
         raise RenetError(f"speed must be positive, got {speed}")
 
 
 def check_finite(settings: Any) -> None:
-    """Raise RenetError naming a number of a dataclass that is infinite or not a number."""
+    """Raise RenetError for a field of a dataclass that is infinite or NaN."""
     for name, value in vars(settings).items():
         if isinstance(value, float) and not np.isfinite(value):
             raise RenetError(f"{name.replace('_', ' ')} must be a finite number, got {value}")
@@ -80,11 +81,11 @@ class EvalEnv(Protocol):
     """A batch of simulated robots."""
 
     num_robots: int
-    """N. An environment with `retire(mask)`, as `SimEnv` has it, may save the work for robots whose
-    try is over."""
+    """N. An environment may have a method `retire(mask)`, as `SimEnv` does, that saves the work for
+    robots whose try is over."""
 
     def reset(self) -> StepResult:
-        """Put every robot at its start; none is retired."""
+        """Put every robot at its start, and simulate those again that were retired."""
         ...
 
     def step(self, action: np.ndarray) -> StepResult:
@@ -96,20 +97,29 @@ class EvalEnv(Protocol):
         ...
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
-        """Let the cameras see the scene so from their next image on: physical faults."""
+        """Set how cameras see the scene from their next image on: physical faults."""
 
 
 def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse an ONNX policy that does not take and give, for N robots, what its caller handles.
+    """Raise RenetError unless an ONNX policy has the inputs and outputs of a study.
 
-    `nodes` are its session's inputs and outputs, `shapes` those of one robot by name; raises
-    RenetError for others.
+    Args:
+        path: file of the policy, for the message.
+        nodes: inputs and outputs of its session, with N robots as their first dimension.
+        shapes: shapes needed for one robot, by name.
     """
-    present = {node.name: list(node.shape) for node in nodes}
-    batched = all(shape and not isinstance(shape[0], int) for shape in present.values())
-    if {name: tuple(shape[1:]) for name, shape in present.items()} != shapes or not batched:
+    batched = True
+    row_shapes = {}
+    present = []
+    for node in nodes:
+        shape = list(node.shape)
+        # A number in place of a name is a fixed batch size.
+        batched &= bool(shape) and not isinstance(shape[0], int)
+        row_shapes[node.name] = tuple(shape[1:])
+        present.append(f"{node.name} {shape}")
+    if row_shapes != shapes or not batched:
         raise RenetError(
-            f"{path} has {', '.join(f'{name} {shape}' for name, shape in present.items())}; a study"
+            f"{path} has {', '.join(present)}; a study"
             " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
             " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
             " model needs in the policy's `step` (docs/measure.md, Your own policy)"
@@ -123,10 +133,10 @@ class Rollout:
         """Prepare a run.
 
         Args:
-            env: of as many robots as trials.
-            pilot: of as many robots, in the trials' modes (see `pilot_modes`).
-            trials: mode and camera faults of each robot.
-            seed: of the camera faults.
+            env: environment of N robots.
+            pilot: pilot of N robots in the trials' modes (see `pilot_modes`).
+            trials: mode and camera faults of each robot, [N].
+            seed: seed of the camera faults.
 
         Raises:
             RenetError: the environment has another number of robots.
@@ -138,10 +148,9 @@ class Rollout:
         self.modes = np.array([trial.mode for trial in trials])
         """Mode of each trial, [N]."""
         schedules = [trial.schedule for trial in trials]
-        streams = [trial.robot for trial in trials]
-        self.injector = Injector(schedules, streams, seed, physical=True)
+        self.injector = Injector(schedules, robot_numbers(trials), seed, physical=True)
         self.on_update: Callable[[SelectorInput], Any] = lambda seen: None
-        """Receives the input of every judgement of the pilot, before it."""
+        """Called with the input of every judgement of the pilot, before the pilot judges."""
 
     @property
     def policy(self) -> Policy:
@@ -161,27 +170,33 @@ class Rollout:
         """Run for a number of control steps; raises RenetError if the scene cannot have a fault.
 
         Args:
-            steps: control steps. title: of the progress bar.
-            until_ended: control steps after which the run ends once every robot's first try is
-                over; None: it does not.
-            retire: whether robots are simulated no more once their first try is over. What the
-                trace then has of them means nothing; the others' is the same, to the last digit.
+            steps: number of control steps.
+            title: title of the progress bar.
+            until_ended: number of control steps after which the run ends as soon as every robot's
+                first try is over; None: it always runs for `steps`.
+            retire: True to stop simulating robots whose first try is over. The trace of a retired
+                robot is meaningless from then on; that of the others is the same, bit for bit.
             film: robots to keep poses and images of.
             on_step: called after every control step with its number, from 0; True ends the run.
         """
         trace = Trace.empty(steps, len(self.modes))
+        # Step from which on the run may end early.
         least = steps - 1 if until_ended is None else until_ended
-        poses, images, maps = [], [], []
+        poses: list[np.ndarray] = []
+        images: list[np.ndarray] = []
+        maps: list[np.ndarray] = []
         self._reset()
         for step in progress(range(steps), title):
             action = self._act(step, trace)
             if film:
                 poses.append(self.env.poses(film))
+                # Images and maps change once in a vision tick.
                 if step % STEPS_PER_TICK == 0:
                     shown = self._frames.image[list(film)]
                     images.append(np.round(shown * 255).astype(np.uint8))
                     height_map = getattr(self.policy, "height_map", None)
-                    maps += [] if height_map is None else [height_map[list(film)]]
+                    if height_map is not None:
+                        maps.append(height_map[list(film)])
             self._advance(action, step, trace)
             if retire and self._result.ended.any():
                 self._retire()
@@ -196,7 +211,7 @@ class Rollout:
         return replace(trace, film=Film(np.stack(poses), np.stack(images), np.array(maps)))
 
     def _reset(self) -> None:
-        """Put every robot at its start, trusting vision."""
+        """Put every robot at its start, with vision trusted."""
         self.env.perturb_cameras(self.injector.perturbation(0))
         self._result = self.env.reset()
         self.pilot.reset()
@@ -204,25 +219,31 @@ class Rollout:
         self._over = np.zeros(len(self.modes), bool)
         """[N] bool: the first try is over."""
         self._retired = np.zeros(len(self.modes), bool)
-        """[N] bool: simulated no more."""
+        """[N] bool: not simulated any more."""
 
     def _retire(self) -> None:
-        """Spend no more on robots whose first try is over."""
+        """Stop the work for robots whose first try is over, where environment and policy can."""
         self._retired = self._over.copy()
-        for one in (self.env, self.policy):
-            if hasattr(one, "retire"):
-                one.retire(self._retired)
+        for worker in (self.env, self.policy):
+            if hasattr(worker, "retire"):
+                worker.retire(self._retired)
 
     def _act(self, step: int, trace: Trace) -> np.ndarray:
-        """Actions [N, 12] of a control step, whose judgements follow; also takes new frames."""
+        """Take new frames, act for a control step, then judge the images and record the answers.
+
+        Returns:
+            Actions, [N, 12].
+        """
         result = self._result
         pilot = self.pilot
         if step % STEPS_PER_TICK == 0:
             live = Frames.healthy(result.depth, result.angular_velocity)
             self._frames = self.injector.apply(live, step, self._retired)
         failing = self.injector.at_work(step)
-        distrusted = failing & (self.modes == ORACLE)
-        action = pilot.act(result.proprioception, self._images(step), distrusted)
+        # Mode oracle is told which cameras fail.
+        oracle_mask = failing & (self.modes == ORACLE)
+        action = pilot.act(result.proprioception, self._images(step), oracle_mask)
+        # A judgement takes effect in the next control step.
         for update in range(UPDATES_PER_STEP):
             images = self._images(step, update)
             seen = pilot.seen(images, images.fresh)
@@ -238,14 +259,15 @@ class Rollout:
         return action
 
     def _images(self, step: int, update: int = 0) -> Images:
-        """The frames of the newest tick, which are new in its first update and grow old."""
+        """Frames of the newest tick with their ages; they are fresh in its first update only."""
         frames = self._frames
         passed = step % STEPS_PER_TICK * CONTROL_DT + update * PHYSICS_DT
         fresh = frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh)
         return Images(frames.image, fresh, frames.age + passed, frames.invalid)
 
     def _advance(self, action: np.ndarray, step: int, trace: Trace) -> None:
-        """Step the environment; the pilot begins anew with robots whose episode ended."""
+        """Step the environment, record the true state, and reset the pilot where episodes ended."""
+        # The images of the next step are rendered at the end of this one.
         self.env.perturb_cameras(self.injector.perturbation(step + 1))
         self._result = self.env.step(action)
         for state in fields(TrueState):
@@ -256,6 +278,11 @@ class Rollout:
             self.pilot.reset(ended)
 
 
+def robot_numbers(trials: Sequence[Trial]) -> list[int]:
+    """Number of each trial's robot; robots with the same number are twins."""
+    return [trial.robot for trial in trials]
+
+
 def pilot_modes(trials: Sequence[Trial]) -> list[str]:
-    """Modes of the pilot for trials; the rollout makes `oracle` of `camera`."""
+    """Modes of the pilot for trials; mode oracle is mode camera with the rollout's distrust."""
     return ["camera" if trial.mode == ORACLE else trial.mode for trial in trials]

@@ -1,8 +1,8 @@
-"""Runs a study: what is the same for all of them, from the settings to the written results.
+"""Base of all studies, from the settings to the written results.
 
-A study says what it varies (its fields), what it measures (`parts` and `summarise`) and how that is
-drawn (`draw` and `tables`). Running it, going on after an interruption, and writing
-`summary.json`, `summary.csv`, figures and `summary.md` with their provenance is done here.
+A subclass defines what it varies (its fields), what it measures (`parts` and `summarise`) and its
+figures and tables (`draw` and `tables`). This module runs it, continues after an interruption, and
+writes `summary.json`, `summary.csv`, figures and `summary.md` with their provenance.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from renet.errors import RenetError, demand_name
 from renet.evaluation import figures
 from renet.evaluation.jobs import make_parts
 from renet.evaluation.results import (
+    Provenance,
     Table,
-    kept,
+    load_or_make,
     output_folder,
     part_path,
     plain,
@@ -31,7 +32,7 @@ from renet.evaluation.results import (
 )
 from renet.evaluation.rollout import (
     Conditions,
-    Mode,
+    StudyMode,
     Trial,
     check_finite,
     check_modes,
@@ -45,38 +46,40 @@ if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
 Part = dict[str, Any]
-"""What is kept of one batch of robots; JSON after `plain`."""
+"""Measures of one batch of robots; JSON after `plain`."""
 Figures = Mapping[str, Figure]
-"""By file name, such as "noise.png"."""
-PROCESSES = ("jobs", "shard")
-"""Settings on which no result depends."""
+"""Figures by file name, such as "noise.png"."""
+_PROCESS_SETTINGS = ("jobs", "shard")
+"""Settings that no result depends on."""
 
 
 class MissingParts(RenetError):
-    """A shard's parts are made, and those of other shards are missing."""
+    """Raised when the parts of a shard are made, and those of other shards are missing."""
 
 
 @dataclass(frozen=True)
 class PartMaker:
-    """Makes a study's parts by their names, and keeps them on disk."""
+    """Maker of a study's parts by their names, which keeps them on disk."""
 
     folder: Path
+    """Folder of the parts."""
     key: dict[str, Any]
-    """What all parts' numbers depend on."""
+    """Settings that the numbers of all parts depend on."""
     makers: Mapping[str, Callable[[], Part]]
+    """Function that makes each part, by the part's name."""
 
     def missing(self, names: Iterable[str]) -> list[str]:
-        """Those of the names whose part is not on disk."""
+        """Names of the parts that are not on disk."""
         return [name for name in names if not part_path(self.folder, name, self.key).exists()]
 
     def __call__(self, name: str) -> Part:
-        """A part, read from disk or made now; raises as `kept`."""
-        return kept(self.folder, name, self.key, self.makers[name])
+        """A part, read from disk or made now; raises as `load_or_make`."""
+        return load_or_make(self.folder, name, self.key, self.makers[name])
 
 
 @dataclass(frozen=True)
 class Study:
-    """Settings that every study has; a subclass is one study."""
+    """Base of studies, with the settings that all of them have."""
 
     out: Path = Path("results/study")
     """Folder for summary.md, summary.json, summary.csv, figures and parts/."""
@@ -84,19 +87,19 @@ class Study:
     """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour; or
     hf://OWNER/NAME on the Hugging Face Hub."""
     quick: bool = False
-    """Fewer robots and settings instead."""
+    """Take fewer robots and settings."""
     seed: int = 1
     """Seed of the robots' bodies and starts and of the camera faults."""
     engine: Engine = "auto"
     """Physics engine, on the CPU; auto: native."""
     conditions: Conditions = "nominal"
-    """What robots meet. training: the differences between motors, joints and mounts, late images,
-    noise of sensors and pushes of the bundle's training; nominal: hardly any of them."""
+    """Conditions of the robots. training: those of the bundle's training, with differences between
+    motors, joints and mounts, late images, sensor noise and pushes; nominal: hardly any of them."""
     motors: str = IDEAL
     """Motors of the robots. ideal: MuJoCo's servos. go1: a network of a real Go1's motors. Or a
     file of `renet identify`."""
     jobs: int = 1
-    """Processes that make the study's parts, each with its share of the processors."""
+    """Number of processes that make the study's parts, each with its share of the processors."""
     shard: str | None = None
     """I/N, such as 1/2: make only the I-th of N shares of the parts, for several computers. With
     all shares in one folder parts/, the command without --shard writes the results."""
@@ -104,18 +107,19 @@ class Study:
     name: ClassVar[str]
     """Name of the study, and of its folder in the results."""
     selectable: ClassVar[tuple[str, ...]] = ()
-    """Settings on which no part's result depends: they select which parts are made."""
+    """Settings that select which parts are made, and that no part's numbers depend on."""
 
     def __post_init__(self) -> None:
         check_finite(self)
         demand_name("conditions", self.conditions, get_args(Conditions))
         if self.jobs < 1:
             raise RenetError(f"jobs must be at least 1, got {self.jobs}")
+        # Raises for a shard that is not I/N.
         _ = self.share
 
     @property
     def share(self) -> slice:
-        """The groups of parts to make, of the list of all."""
+        """Slice of the groups of parts that this process makes."""
         if self.shard is None:
             return slice(None)
         number, _, count = self.shard.partition("/")
@@ -124,22 +128,22 @@ class Study:
         return slice(int(number) - 1, None, int(count))
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """Batches of robots by name, each kept on disk once it has run."""
+        """Function that runs each batch of robots, by the name under which its part is kept."""
         raise NotImplementedError
 
-    def together(self, names: Sequence[str]) -> list[list[str]]:
-        """The parts' names in groups that one process makes one after the other.
+    def part_groups(self, names: Sequence[str]) -> list[list[str]]:
+        """Names of the parts in groups, each of which one process makes.
 
-        By default each is alone. A study groups parts whose robots walk side by side.
+        By default every part is a group. A study groups parts whose robots walk side by side.
         """
         return [[name] for name in names]
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The summary's content beside settings and provenance; `runs` is its list of rows."""
+        """Content of the summary beside settings and provenance; `runs` is its list of rows."""
         raise NotImplementedError
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figures of a summary by their file's name, which `run` saves; none by default."""
+        """Figures of a summary by their file name, which `run` saves; none by default."""
         return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
@@ -147,35 +151,41 @@ class Study:
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
-        """The evaluator of the settings' bundle and conditions."""
+        """Make the evaluator of the settings' bundle and conditions."""
         from renet.evaluation.evaluator import Evaluator
 
         return Evaluator(self.bundle, self.engine, self.conditions, self.motors)
 
     def file_digests(self) -> dict[str, str]:
-        """What stands for settings that name files in the key of parts: the files' contents."""
+        """Hashes of the contents of files that settings name, by the setting, for parts' keys."""
         return {"motors": motors_key(self.motors)}
 
     def part_maker(self, evaluator: Evaluator | None = None) -> PartMaker:
-        """What makes the study's parts; the evaluator is made from the settings by default."""
+        """Make the maker of the study's parts; the evaluator is the settings' by default."""
         evaluator = evaluator or self.make_evaluator()
         provenance = evaluator.provenance(self.seed)
-        free = {"out", "bundle", *PROCESSES, *self.selectable}
+        # Numbers depend on all settings but these, and on the bundle and the code.
+        free = {"out", "bundle", *_PROCESS_SETTINGS, *self.selectable}
         key = {name: value for name, value in asdict(self).items() if name not in free}
-        code = ("bundle_hash", "renet_version", "commit")
-        key |= {name: getattr(provenance, name) for name in code}
+        for name in ("bundle_hash", "renet_version", "commit"):
+            key[name] = getattr(provenance, name)
+        # A file's content counts, not its name.
         key |= self.file_digests()
         key["policy"] = type(evaluator).make_policy.__qualname__
         folder = output_folder(output_folder(self.out) / "parts")
         return PartMaker(folder, key, self.parts(evaluator))
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """Run what has not been run yet, write the results to `out` and return the summary.
+        """Run the parts that are missing, write the results to `out` and return the summary.
 
-        The evaluator is made from the settings by default. Raises RenetError for a bundle that
-        cannot be used, or a folder that cannot be written to; MissingParts where a shard is made
-        and the others are not.
+        Args:
+            evaluator: evaluator of the policy; made from the settings by default.
+
+        Raises:
+            RenetError: the bundle cannot be used, or the folder cannot be written to.
+            MissingParts: this shard is made, and others are not.
         """
+        # An evaluator cannot be sent to another process.
         if evaluator is not None and self.jobs > 1:
             raise RenetError("each of several jobs makes its evaluator: override make_evaluator")
         evaluator = evaluator or self.make_evaluator()
@@ -188,31 +198,49 @@ class Study:
                 " there, then give the command without --shard"
             )
         parts = {name: make(name) for name in make.makers}
-        out, provenance = self.out, evaluator.provenance(self.seed)
-        settings = {name: v for name, v in asdict(self).items() if name not in PROCESSES}
-        summary = plain(
-            {"study": self.name}
-            | self.summarise(parts, evaluator)
-            | {"settings": settings, "provenance": vars(provenance)}
-        )
-        write_json(out / "summary.json", summary)
-        rows = [
-            {k: v for k, v in run.items() if not isinstance(v, (list, dict))}
-            for run in summary["runs"]
-        ]
-        write_csv(out / "summary.csv", rows)
-        with plt.rc_context(figures.STYLE):
-            drawn = self.draw(summary, parts)
-            for name, figure in drawn.items():
-                figures.save(figure, out / name, provenance)
-        tables = self.tables(summary)
-        write_summary(out / "summary.md", self.name, tables, list(drawn), provenance)
+        provenance = evaluator.provenance(self.seed)
+        summary = self._summary(parts, evaluator, provenance)
+        self._write(summary, parts, provenance)
         return summary
 
+    def _summary(
+        self, parts: Mapping[str, Part], evaluator: Evaluator, provenance: Provenance
+    ) -> dict[str, Any]:
+        """The summary with settings and provenance, in JSON's types."""
+        summary: dict[str, Any] = {"study": self.name}
+        summary |= self.summarise(parts, evaluator)
+        settings = asdict(self)
+        for name in _PROCESS_SETTINGS:
+            del settings[name]
+        summary |= {"settings": settings, "provenance": vars(provenance)}
+        return plain(summary)
+
+    def _write(
+        self, summary: dict[str, Any], parts: Mapping[str, Part], provenance: Provenance
+    ) -> None:
+        """Write the summary's files and figures to `out`."""
+        write_json(self.out / "summary.json", summary)
+        # A cell of a table holds no list and no dictionary.
+        rows = []
+        for run in summary["runs"]:
+            rows.append({k: v for k, v in run.items() if not isinstance(v, (list, dict))})
+        write_csv(self.out / "summary.csv", rows)
+        # matplotlib makes ticks when a figure is saved: the style must hold until then.
+        with plt.rc_context(figures.STYLE):
+            drawings = self.draw(summary, parts)
+            for name, figure in drawings.items():
+                figures.save_figure(figure, self.out / name, provenance)
+        tables = self.tables(summary)
+        write_summary(self.out / "summary.md", self.name, tables, list(drawings), provenance)
+
     def _make_share(self, make: PartMaker) -> None:
-        """Make what is missing of this shard's parts, or of all."""
-        groups = self.together(list(make.makers))[self.share]
-        groups = [names for group in groups if (names := make.missing(group))]
+        """Make the missing parts of this shard, or of the whole study without shards."""
+        groups = []
+        for group in self.part_groups(list(make.makers))[self.share]:
+            names = make.missing(group)
+            if names:
+                groups.append(names)
+        # More jobs than groups would have nothing to do.
         jobs = min(self.jobs, len(groups))
         if jobs > 1:
             make_parts(self, groups, jobs)
@@ -221,7 +249,7 @@ class Study:
             make(name)
 
     def main(self) -> None:
-        """Run the study and print its tables; of a shard, what is still missing."""
+        """Run the study and print its tables, or the number of missing parts after a shard."""
         try:
             summary = self.run()
         except MissingParts as missing:
@@ -233,12 +261,12 @@ class Study:
 
 @dataclass(frozen=True)
 class WalkingStudy(Study):
-    """A study of robots that are told to walk straight ahead, in several modes."""
+    """Base of studies of robots that are commanded to walk straight ahead, in several modes."""
 
-    modes: tuple[Mode, ...] = ("camera", "memory", "blind")
+    modes: tuple[StudyMode, ...] = ("camera", "memory", "blind")
     """Policy modes to compare."""
     robots: int = 20
-    """Robots in each setting and mode; with `quick` always fewer."""
+    """Number of robots in each setting and mode; with `quick` always fewer."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
 
@@ -253,14 +281,13 @@ class WalkingStudy(Study):
 
     @property
     def robots_each(self) -> int:
-        """Robots in each setting and mode, after `quick`."""
+        """Number of robots in each setting and mode, with `quick` taken into account."""
         return self.quick_robots if self.quick else self.robots
 
     def trials_on(self, grounds: Sequence[str]) -> list[Trial]:
-        """Every robot of every mode on every ground, without faults; a mode's side by side."""
-        return [
-            Trial(mode, (), robot, ground)
-            for ground in grounds
-            for mode in self.modes
-            for robot in range(self.robots_each)
-        ]
+        """Trials of every robot of every mode on every ground, in this order, without faults."""
+        trials = []
+        for ground in grounds:
+            for mode in self.modes:
+                trials += [Trial(mode, (), robot, ground) for robot in range(self.robots_each)]
+        return trials

@@ -1,4 +1,4 @@
-"""What happened in a closed-loop run, step by step."""
+"""Record of a closed-loop run, step by step."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ UPDATES_PER_STEP = round(CONTROL_DT / PHYSICS_DT)
 
 @dataclass
 class Film:
-    """What pictures of a few rows need."""
+    """Poses, images and maps of R robots, for films."""
 
     poses: np.ndarray
-    """[T, R, nq]"""
+    """[T, R, nq], generalised positions."""
     images: np.ndarray
-    """[ticks, R, 48, 64] uint8: the depth image each robot got at each tick."""
+    """[ticks, R, 48, 64] uint8, the depth image of each robot at each tick."""
     maps: np.ndarray
-    """[ticks, R, 132] m: VP's height map after each tick; empty for policies that have none."""
+    """[ticks, R, 132] m, VP's height map after each tick; empty for policies without one."""
 
 
 @dataclass(frozen=True)
 class TrueState:
-    """What only a simulator knows of its robots: [N] after a control step, [T, N] in a run."""
+    """True state of simulated robots: [N] after a control step, [T, N] in a run."""
 
     forward_velocity: np.ndarray
     """Base velocity along the commanded yaw, m/s."""
@@ -36,34 +36,34 @@ class TrueState:
     travelled: np.ndarray
     """Horizontal distance from where the robot last started, m."""
     collisions: np.ndarray
-    """Thighs, calves and trunks that touch something."""
+    """Number of thighs, calves and trunks in contact."""
     power: np.ndarray
-    """W, sum of |torque * joint velocity|."""
+    """Sum of |torque * joint velocity|, W."""
     fell: np.ndarray
     """bool: the episode ended in this step by a fall, judged by the true pose."""
     ended: np.ndarray
-    """bool: the episode ended in this step, by a fall, its time or its tile's edge. The robot is at
-    its next start, whose velocity this step has."""
+    """bool: the episode ended in this step, by a fall, its time limit or its tile's edge. The robot
+    is at its next start already, and the step's velocity is that of the start."""
 
 
 @dataclass(frozen=True)
 class StepResult(TrueState):
-    """What N robots sense and truly do after a control step."""
+    """Observations and true state of N robots after a control step."""
 
     proprioception: np.ndarray
-    """[N, 45]"""
+    """[N, 45], scaled."""
     depth: np.ndarray
-    """[N, 48, 64] normalised, held between the camera's ticks."""
+    """[N, 48, 64] in [0, 1], held between the camera's ticks."""
     angular_velocity: np.ndarray
-    """[N, 3] true base rate, rad/s, base frame."""
+    """[N, 3] true angular velocity of the base, rad/s, base frame."""
 
 
 @dataclass(frozen=True)
 class Trace(TrueState):
-    """What happened, for each control step and robot; [T, N] unless said otherwise.
+    """Record of a run, for each control step and robot; [T, N] unless a shape is given.
 
-    A robot that falls or leaves its tile starts anew and goes on; `over`, `fallen`, `speed` and
-    `first_try` are for studies in which only the first try counts.
+    A robot that falls or leaves its tile is put back at a start and goes on; `over`, `fallen`,
+    `speed` and `first_try` are for studies in which only the first try counts.
     """
 
     anomaly: np.ndarray
@@ -73,9 +73,9 @@ class Trace(TrueState):
     vision: np.ndarray
     """bool: the VP estimator's latent drove this step."""
     has_image: np.ndarray
-    """bool: VP's newest tick had an image; without, it goes on from memory."""
+    """bool: VP's newest tick had an image; without one, it goes on from memory."""
     map_error: np.ndarray
-    """Error of its height map ahead that VP expects, m."""
+    """Error of VP's height map ahead that VP itself predicts, m."""
     failing: np.ndarray
     """bool: the camera is failing."""
     trusted: np.ndarray
@@ -91,34 +91,46 @@ class Trace(TrueState):
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
         flags = ("fell", "ended", "vision", "has_image", "failing")
-        names = {f.name for f in fields(cls)} - {"trusted", "film"}
-        room: Any = {n: np.zeros((steps, count), bool if n in flags else float) for n in names}
-        return cls(**room, trusted=np.ones((steps, UPDATES_PER_STEP, count), bool))
+        arrays: dict[str, Any] = {}
+        for field_ in fields(cls):
+            name = field_.name
+            if name not in ("trusted", "film"):
+                arrays[name] = np.zeros((steps, count), bool if name in flags else float)
+        return cls(**arrays, trusted=np.ones((steps, UPDATES_PER_STEP, count), bool))
 
     def until(self, steps: int) -> Trace:
-        """The first control steps only, without film."""
-        return Trace(**{name: array[:steps] for name, array in self._arrays()})
+        """The first control steps, without film."""
+        return self._part(np.s_[:steps])
 
     def robots(self, index: slice | np.ndarray) -> Trace:
-        """Some robots only, by their places or a mask [N], without film."""
-        return Trace(**{name: array[..., index] for name, array in self._arrays()})
+        """Some robots, by their places or a mask [N], without film."""
+        return self._part(np.s_[..., index])
 
-    def _arrays(self) -> list[tuple[str, Any]]:
-        return [(name, array) for name, array in vars(self).items() if name != "film"]
+    def _part(self, index: Any) -> Trace:
+        """A part of every array by its index, without film."""
+        arrays = dict(vars(self))
+        # A film has other robots and steps than the arrays.
+        del arrays["film"]
+        return Trace(**{name: array[index] for name, array in arrays.items()})
 
     def groups(self, each: int) -> list[Trace]:
-        """The robots in their order, `each` in a group."""
+        """Traces of the robots in their order, `each` in a group."""
+        # A last group may be smaller.
         starts = range(0, self.fell.shape[1], each)
         return [self.robots(slice(start, start + each)) for start in starts]
 
     def first_try(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How each robot's first try ended: [N] crossed, [N] fell (bool), [N] seconds it took.
+        """End of each robot's first try.
 
-        It crosses where the episode ends otherwise than by a fall; NaN seconds: it did not end.
+        Returns:
+            [N] bool, the robot crossed: the episode ended otherwise than by a fall;
+            [N] bool, it fell; [N] s, the time it took, NaN if the try did not end.
         """
+        # The first step in which the episode ended; step 0 where it never did.
         first = self.ended.argmax(axis=0)
         robot = np.arange(self.ended.shape[1])
-        ended, fell = self.ended[first, robot], self.fell[first, robot]
+        ended = self.ended[first, robot]
+        fell = self.fell[first, robot]
         return ended & ~fell, ended & fell, np.where(ended, (first + 1) * CONTROL_DT, np.nan)
 
     @property
@@ -133,5 +145,5 @@ class Trace(TrueState):
 
     @property
     def speed(self) -> np.ndarray:
-        """[T, N] m/s along the commanded yaw; zero from a robot's fall on."""
+        """[T, N] m/s along the commanded yaw; zero after a fall."""
         return np.where(self.fallen, 0.0, self.forward_velocity)

@@ -1,4 +1,4 @@
-"""Films of robots side by side: what each sees, what ground it believes in, what becomes of it."""
+"""Films of robots side by side, each with its depth image, VP's map of the ground and its state."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,18 +19,21 @@ from renet.terminal import progress
 
 _font = ImageFont.load_default
 """Pillow's own font: the same everywhere, nothing to install."""
-GREEN = (126, 200, 120)
-RED = (235, 92, 80)
-WHITE = (245, 245, 245)
+_GREEN = (126, 200, 120)
+_RED = (235, 92, 80)
+_WHITE = (245, 245, 245)
 DARK_GREEN = (30, 110, 50)
+"""Background of the outcome "crossed"."""
 DARK_RED = (170, 30, 25)
-"""Of outcomes, which white text is read on."""
-SHADE = (16, 18, 22, 190)
-"""Behind texts."""
-FPS = 25
-"""Pictures a second, a divisor of the control rate."""
-DOT, WRONG = 0.025, 0.25
-"""Radius of a height map's dots, m, and the error from which on they are black."""
+"""Background of the outcome "fell"."""
+_SHADE = (16, 18, 22, 190)
+"""Background of texts, RGBA."""
+_FPS = 25
+"""Pictures per second, a divisor of the control rate."""
+_DOT = 0.025
+"""Radius of a height map's dots, m."""
+_BLACK_ERROR = 0.25
+"""Error of a height map from which on its dots are black, m."""
 
 
 def film(
@@ -42,56 +45,69 @@ def film(
     steps: Sequence[int] = (),
     goal: float = np.inf,
 ) -> Path:
-    """Draw robots side by side and write an mp4 that any browser plays, beside a progress bar.
+    """Draw robots side by side and write an mp4 that any browser plays.
 
     A robot whose first try is over is put back at its start by the simulator: its picture stops.
 
     Args:
-        path: of the mp4; raises RenetError if ffmpeg is missing, or it cannot be written.
-        spec: the scene. trace: a run whose robots are all on its film.
-        titles: what to call the robots that are shown, by their places in the trace.
-        fault: what to call a failing camera.
-        steps: control steps of the pictures; all of them, at the clock's pace, by default.
-        goal: distance from its start from which on a robot has crossed, m.
+        path: path of the mp4; raises RenetError if ffmpeg is missing, or it cannot be written.
+        spec: the scene.
+        trace: a run whose robots are all on its film.
+        titles: titles of the robots to show, by their places in the trace.
+        fault: text for a failing camera.
+        steps: control steps of the pictures; by default the whole run in real time.
+        goal: distance from the start at which a robot has crossed, m.
     """
-    poses, robots = trace.film.poses, list(titles)  # type: ignore[union-attr]
-    painter = Painter(spec, poses[0, robots])
-    last = np.maximum((~trace.over).sum(axis=0) - 1, 0)
-
-    def pictures() -> Iterator[np.ndarray]:
-        for step in progress(steps or range(0, len(poses), round(1 / (FPS * CONTROL_DT))), "video"):
-            shown = {robot: min(step, last[robot]) for robot in robots}
-            views = painter.draw(np.stack([poses[at, robot] for robot, at in shown.items()]))
-            panels = []
-            for view, (robot, at) in zip(views, shown.items(), strict=True):
-                image = Image.fromarray(view.picture)
-                _draw_map(image, view, painter, trace, at, robot)
-                _stamp(image, trace, at, robot, titles[robot], fault)
-                if trace.fallen[step, robot]:
-                    _write_outcome(image, "fell", DARK_RED)
-                elif trace.travelled[at, robot] >= goal:
-                    _write_outcome(image, "crossed", DARK_GREEN)
-                panels.append(np.asarray(image))
-            yield np.hstack(panels)
-
+    pictures = _pictures(spec, trace, titles, fault, steps, goal)
     try:
-        video = mediapy.compress_video(pictures(), fps=FPS, crf=26)
+        video = mediapy.compress_video(pictures, fps=_FPS, crf=26)
     except RuntimeError as error:
         raise RenetError(f"cannot write {path}: {str(error).splitlines()[0]}") from error
     write_atomically(path, video)
     return path
 
 
+def _pictures(
+    spec: mujoco.MjSpec,
+    trace: Trace,
+    titles: Mapping[int, str],
+    fault: str,
+    steps: Sequence[int],
+    goal: float,
+) -> Iterator[np.ndarray]:
+    """Pictures of a film, [height, width, 3] uint8 each, with a progress bar; see `film`."""
+    assert trace.film is not None
+    poses = trace.film.poses
+    robots = list(titles)
+    painter = Painter(spec, poses[0, robots])
+    # Last step of each robot's first try.
+    last = np.maximum((~trace.over).sum(axis=0) - 1, 0)
+    for step in progress(steps or range(0, len(poses), round(1 / (_FPS * CONTROL_DT))), "video"):
+        shown = {robot: min(step, last[robot]) for robot in robots}
+        views = painter.draw(np.stack([poses[at, robot] for robot, at in shown.items()]))
+        panels = []
+        for view, (robot, at) in zip(views, shown.items(), strict=True):
+            image = Image.fromarray(view.picture)
+            _draw_map(image, view, painter, trace, at, robot)
+            _stamp(image, trace, at, robot, titles[robot], fault)
+            if trace.fallen[step, robot]:
+                _write_outcome(image, "fell", DARK_RED)
+            elif trace.travelled[at, robot] >= goal:
+                _write_outcome(image, "crossed", DARK_GREEN)
+            panels.append(np.asarray(image))
+        yield np.hstack(panels)
+
+
 def _write_outcome(image: Image.Image, outcome: str, colour: tuple[int, int, int]) -> None:
-    """Write how a robot's try ended, large, and in place of its state."""
+    """Write the end of a robot's try, large, and in place of its state."""
     draw = ImageDraw.Draw(image)
-    draw.text((12, 30), outcome, colour, font=_font(44), stroke_width=2, stroke_fill=WHITE)
+    draw.text((12, 30), outcome, colour, font=_font(44), stroke_width=2, stroke_fill=_WHITE)
     draw.rectangle((image.width - 92, 0, image.width, 24), fill=colour)
-    draw.text((image.width - 8, 4), outcome, font=_font(14), fill=WHITE, anchor="ra")
+    draw.text((image.width - 8, 4), outcome, font=_font(14), fill=_WHITE, anchor="ra")
 
 
 def _state(trace: Trace, step: int, robot: int) -> str:
-    """Name of a robot's state."""
+    """Name of a robot's state at a step: sees, remembers or blind."""
     if not trace.vision[step, robot]:
         return "blind"
     return "sees" if trace.has_image[step, robot] else "remembers"
@@ -100,43 +116,54 @@ def _state(trace: Trace, step: int, robot: int) -> str:
 def _draw_map(
     image: Image.Image, view: View, painter: Painter, trace: Trace, step: int, robot: int
 ) -> None:
-    """Draw VP's map of the ground, as the page does: in the state's colour, black where wrong."""
-    tick, state = step // STEPS_PER_TICK, _state(trace, step, robot)
+    """Draw VP's map of the ground, as the web page does: in the state's colour, black if wrong."""
+    tick = step // STEPS_PER_TICK
+    state = _state(trace, step, robot)
     film = trace.film
     if film is None or not film.maps.size or state == "blind":
         return
+    # Points of the map in the world: the map turns with the robot's yaw alone.
     pose = film.poses[tick * STEPS_PER_TICK, robot]
     ahead, left = np.meshgrid(HEIGHT_MAP_X, HEIGHT_MAP_Y, indexing="ij")
     grid = np.stack([ahead.ravel(), left.ravel(), -MAP_HEIGHT - film.maps[tick, robot]], axis=1)
     yaw = Rotation.from_quat(pose[3:7], scalar_first=True).as_euler("ZYX")[:1]
     points = pose[:3] + Rotation.from_euler("z", yaw).apply(grid)
-    wrong = np.abs(points[:, 2] - painter.heights(points)) / WRONG
-    colours = np.array(rgb(STATES[state][0])) * (1 - np.clip(wrong, 0, 1))[:, None]
-    draw, ground = ImageDraw.Draw(image), view.ground
+    error = np.abs(points[:, 2] - painter.heights(points)) / _BLACK_ERROR
+    colours = np.array(rgb(STATES[state][0])) * (1 - np.clip(error, 0, 1))[:, None]
+    draw = ImageDraw.Draw(image)
+    ground = view.ground
     for (x, y, scale), colour in zip(view.pixels(points), colours.astype(int), strict=True):
-        column, row, size = int(x), int(y), DOT * scale
+        column = int(x)
+        row = int(y)
+        size = _DOT * scale
+        # A dot on the robot would hide it.
         inside = 0 <= row < ground.shape[0] and 0 <= column < ground.shape[1]
         if inside and ground[row, column]:
             draw.ellipse((x - size, y - 0.6 * size, x + size, y + 0.6 * size), tuple(colour))
 
 
 def _stamp(image: Image.Image, trace: Trace, step: int, robot: int, title: str, fault: str) -> None:
-    """Put texts and the depth image that the robot gets on a picture."""
+    """Draw texts and the robot's depth image on a picture."""
+    assert trace.film is not None
     failing = trace.failing[step, robot]
     draw = ImageDraw.Draw(image, "RGBA")
     width, height = image.size
     state = _state(trace, step, robot)
     colour = rgb(STATES[state][0])
-    draw.rectangle((0, 0, width, 24), fill=SHADE)
-    draw.text((8, 4), title, font=_font(14), fill=WHITE)
+    # Upper bar: title and state.
+    draw.rectangle((0, 0, width, 24), fill=_SHADE)
+    draw.text((8, 4), title, font=_font(14), fill=_WHITE)
     draw.rectangle((width - 92, 0, width, 24), fill=colour)
-    ink = SHADE[:3] if sum(colour) > 380 else WHITE
+    ink = _SHADE[:3] if sum(colour) > 380 else _WHITE
     draw.text((width - 8, 4), state, font=_font(14), fill=ink, anchor="ra")
-    depth = Image.fromarray(trace.film.images[step // STEPS_PER_TICK, robot])  # type: ignore[union-attr]
-    draw.rectangle((width - 106, 32, width - 7, 107), fill=RED if failing else GREEN)
+    # Depth image with a frame that is red while the camera fails.
+    depth = Image.fromarray(trace.film.images[step // STEPS_PER_TICK, robot])
+    camera, camera_colour = (fault, _RED) if failing else ("camera healthy", _GREEN)
+    draw.rectangle((width - 106, 32, width - 7, 107), fill=camera_colour)
     image.paste(depth.resize((96, 72), Image.Resampling.NEAREST), (width - 104, 34))
-    draw.rectangle((0, height - 22, width, height), fill=SHADE)
+    # Lower bar: distance, speed and camera.
+    draw.rectangle((0, height - 22, width, height), fill=_SHADE)
     pace = f"{trace.travelled[step, robot]:.1f} m, {trace.speed[step, robot]:.1f} m/s"
-    draw.text((8, height - 19), pace, font=_font(13), fill=WHITE)
-    words, colour = (fault, RED) if failing else ("camera healthy", GREEN)
-    draw.text((width - 8, height - 19), words, font=_font(13), fill=colour, anchor="ra")
+    draw.text((8, height - 19), pace, font=_font(13), fill=_WHITE)
+    place = (width - 8, height - 19)
+    draw.text(place, camera, font=_font(13), fill=camera_colour, anchor="ra")

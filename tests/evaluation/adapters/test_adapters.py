@@ -54,8 +54,8 @@ MODULES = {
 
 def pose_of(module):
     """Of the module, in our order."""
-    left_first = module in (himloco, robogauge)
-    return module.POSE[LEFT_FIRST] if left_first else module.POSE
+    pose = module.Adapter.pose
+    return pose[LEFT_FIRST] if module in (himloco, robogauge) else pose
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -81,7 +81,7 @@ def test_an_action_moves_the_joint_that_it_is_for(name):
     adapter = evaluator.find_adapter(name)(Recorder(0), 2)
     target = adapter.act(senses(pose_of(module)))
     change = target - pose_of(module)
-    scale = np.atleast_1d(module.SCALE)[0]
+    scale = np.atleast_1d(module.Adapter.action_scale)[0]
     expected = np.zeros((2, 12))
     expected[:, moved] = scale
     np.testing.assert_allclose(change, expected, atol=1e-6)
@@ -91,10 +91,10 @@ def test_last_actions_are_fed_back_and_forgotten():
     model = Recorder(3)
     adapter = robot_lab.Adapter(model, 2)
     for _ in range(2):
-        adapter.act(senses(robot_lab.POSE))
+        adapter.act(senses(robot_lab.Adapter.pose))
     np.testing.assert_array_equal(model.seen[1][0][:, -12:], np.repeat(model.answer, 2, axis=0))
     adapter.reset(np.array([True, False]))
-    adapter.act(senses(robot_lab.POSE))
+    adapter.act(senses(robot_lab.Adapter.pose))
     assert model.seen[2][0][0, -9] == 0.0
     assert model.seen[2][0][1, -9] == 1.0
 

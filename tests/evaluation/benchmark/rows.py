@@ -1,6 +1,6 @@
 """Rows and results of the benchmark, made up."""
 
-from renet.evaluation.benchmark.scores import score
+from renet.evaluation.benchmark.scores import score_rows
 
 SHA = "a" * 64
 
@@ -34,6 +34,6 @@ def result(crossed, name="ours", method=None, entry="memory", episodes="quick"):
         "episodes": episodes,
         "policy": {"name": name, "method": method or name, "robot": "Go1", "sha256": SHA},
         "provenance": {"renet": "0", "commit": None, "engine": "native", "command": "", "date": ""},
-        "scores": {entry: score(rows)},
+        "scores": {entry: score_rows(rows)},
         "rows": rows,
     }

@@ -10,7 +10,7 @@ ROWS = [row(0, 2), row(1, 0, metres=0.2), row(2, 1), row(3, 3, obstacles=3)]
 
 
 def test_a_score_is_the_mean_share_of_obstacles():
-    found = scores.score(ROWS)
+    found = scores.score_rows(ROWS)
     assert found["score"] == pytest.approx((1.0 + 0.0 + 0.5 + 1.0) / 4)
     assert found["loud"] == pytest.approx(0.75)
     assert found["lies"] == pytest.approx(0.5)
@@ -19,8 +19,8 @@ def test_a_score_is_the_mean_share_of_obstacles():
 
 
 def test_energy_is_of_those_that_walked():
-    assert scores.score(ROWS)["energy_per_metre"] == pytest.approx(200.0)
-    assert scores.score([ROWS[1]])["energy_per_metre"] is None
+    assert scores.score_rows(ROWS)["energy_per_metre"] == pytest.approx(200.0)
+    assert scores.score_rows([ROWS[1]])["energy_per_metre"] is None
 
 
 def test_leads_are_paired():

@@ -214,9 +214,9 @@ def test_measures_are_sums_and_means(course):
 
 
 def test_walks_are_joined_in_the_episodes_order():
-    first, second = Walk.begun(2), Walk.begun(1)
+    first, second = Walk.at_start(2), Walk.at_start(1)
     first.crossed[:], second.crossed[:] = (1, 3), 2
-    joined = Walk.joined([first, second], np.array([0, 2, 1]))
+    joined = Walk.concatenate([first, second], np.array([0, 2, 1]))
     np.testing.assert_array_equal(joined.crossed, (1, 2, 3))
 
 

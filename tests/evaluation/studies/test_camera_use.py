@@ -7,7 +7,7 @@ import pytest
 
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.studies import camera_use
-from renet.evaluation.studies.camera_use import VIEWS, compare, sentence
+from renet.evaluation.studies.camera_use import VIEWS, compare_with_twins, sentence
 
 from ..fakes import FakeEnv
 
@@ -63,7 +63,7 @@ def rows(crossed: int, parted: int, robots: int = 40) -> dict:
 )
 def test_the_sentence_says_what_chance_does_not_explain(blank, says):
     part = dict.fromkeys(VIEWS, rows(30, 0)) | {"control": rows(30, 2), "blank": rows(*blank)}
-    total = {view: compare(part, view) for view in VIEWS}
+    total = {view: compare_with_twins(part, view) for view in VIEWS}
     runs = [{"ground": "gap:3", "view": view} | row for view, row in total.items()]
     assert says in sentence(total, runs)
     assert ("On gap alone the difference" in sentence(total, runs)) == (blank[0] == 10)
@@ -73,8 +73,8 @@ def test_the_sentence_says_what_chance_does_not_explain(blank, says):
 
 def test_the_probability_is_the_sign_tests():
     part = dict.fromkeys(VIEWS, rows(30, 0)) | {"blank": rows(25, 0)}
-    assert compare(part, "blank")["p"] == pytest.approx(2 * 0.5**5)
-    assert compare(part, "blank")["change"] == pytest.approx(-5 / 40)
+    assert compare_with_twins(part, "blank")["p"] == pytest.approx(2 * 0.5**5)
+    assert compare_with_twins(part, "blank")["change"] == pytest.approx(-5 / 40)
 
 
 class Reader:

@@ -6,7 +6,7 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.motion import Motion, MotionSensor
-from renet.evaluation.studies.commands import COMMANDS, CommandStudy, drift, summary_of
+from renet.evaluation.studies.commands import TWISTS, CommandStudy, drift, summary_of
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 
 
@@ -71,8 +71,8 @@ def test_runs_too_short_to_settle_are_refused():
 
 
 def test_twelve_commands_in_all_directions():
-    forward, left, turn = np.array(COMMANDS).T
-    assert len(COMMANDS) == 12
+    forward, left, turn = np.array(TWISTS).T
+    assert len(TWISTS) == 12
     for axis in (forward, left, turn):
         assert axis.min() < 0.0 < axis.max()
 

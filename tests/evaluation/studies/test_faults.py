@@ -87,13 +87,13 @@ def test_faults_of_few_robots_walk_side_by_side_as_they_do_alone(tmp_path, monke
     names = ["gaussian_5", "glass_1", "foam_2", "blackout_5", "no_fault"]
     # Glass is on no flat ground.
     groups = [["gaussian_5"], ["glass_1"], ["foam_2", "blackout_5"], ["no_fault"]]
-    assert joined.together(names) == groups
+    assert joined.part_groups(names) == groups
     fake: Any = FakeEvaluator()
     rows = joined.run(fake)["runs"]
     monkeypatch.setattr(faults, "SIDE_BY_SIDE", 1)
-    assert alone.together(names) == [[name] for name in names]
+    assert alone.part_groups(names) == [[name] for name in names]
     assert alone.run(fake)["runs"] == rows
     assert {run["survival"] for run in rows} == {0.0, 1.0}
     monkeypatch.setattr(faults, "SIDE_BY_SIDE", 23)
     robots = [len(joined.trials(settings)) for settings in joined.batches.values()]
-    assert (robots, joined.together(names)) == ([12, 8, 12, 12], [[name] for name in names])
+    assert (robots, joined.part_groups(names)) == ([12, 8, 12, 12], [[name] for name in names])

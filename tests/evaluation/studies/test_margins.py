@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from renet.evaluation.conditions import as_trained
+from renet.evaluation.conditions import use_training_conditions
 from renet.evaluation.env import terrain_env_cfg
-from renet.evaluation.studies.margins import ALLOWED, AXES, MarginsStudy, change, margin
+from renet.evaluation.studies.margins import ALLOWED_LOSS, MARGIN_AXES, MarginsStudy, change, margin
 from renet.tasks import VISUAL_GO1, env_cfg
 from renet.tasks.sensors import depth_camera
 
@@ -40,10 +40,10 @@ CHANGED = {
 """What each axis changes."""
 
 
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("axis", MARGIN_AXES)
 def test_an_axis_changes_one_thing_and_nothing_else(axis):
     before, cfg = settings(flat_cfg()), flat_cfg()
-    change(cfg, axis, AXES[axis].levels[0])
+    change(cfg, axis, MARGIN_AXES[axis].levels[0])
     after = settings(cfg)
     assert {name for name in after if after[name] != before.get(name)} == {CHANGED[axis]}
     assert settings(flat_cfg()) == before, "the robot's own description is untouched"
@@ -68,7 +68,7 @@ def test_levels_are_in_the_units_they_are_shown_in():
 
 def test_a_biased_sensor_keeps_the_noise_of_training():
     cfg = flat_cfg()
-    as_trained(cfg, env_cfg("Renet-Go1-Parkour"))
+    use_training_conditions(cfg, env_cfg("Renet-Go1-Parkour"))
     low, high = (np.array(settings(cfg)["sensors"][1][end]) for end in ("n_min", "n_max"))
     change(cfg, "gyro", 0.5)
     gyro = np.arange(45) < 3  # The first terms of the proprioception.
@@ -82,8 +82,8 @@ def run(level: float | None, failed: float) -> dict:
 
 
 def test_the_margin_ends_at_the_first_level_beyond_it():
-    levels = AXES["payload"].levels
-    held = [run(None, 0.0), *(run(level, ALLOWED) for level in levels)]
+    levels = MARGIN_AXES["payload"].levels
+    held = [run(None, 0.0), *(run(level, ALLOWED_LOSS) for level in levels)]
     assert margin(held, "payload", levels) == {"margin": levels[-1], "broke": None, "held": 1.0}
     held[2]["failed"] = 0.1  # The second level; that a worse one is survived does not count.
     end = {"margin": levels[0], "broke": levels[1], "held": 1 / len(levels)}
@@ -93,7 +93,9 @@ def test_the_margin_ends_at_the_first_level_beyond_it():
 
 
 def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(tmp_path, monkeypatch):
-    monkeypatch.setitem(AXES, "payload", replace(AXES["payload"], levels=(1.0, 90.0, 99.0)))
+    monkeypatch.setitem(
+        MARGIN_AXES, "payload", replace(MARGIN_AXES["payload"], levels=(1.0, 90.0, 99.0))
+    )
     where = {"axes": ("payload",), "grounds": ("flat",), "modes": ("blind",)}
     study = MarginsStudy(out=tmp_path, robots=1, seconds=2.0, **where)
     summary = study.run()

@@ -1,5 +1,6 @@
-"""Other people's policies in renet's studies: what each senses, and what its outputs mean.
+"""Policies of other projects in renet's studies.
 
-`base` is the interface, `models` opens files, `evaluator` puts both into a study. An adapter is a
-module of some fifty lines with a class `Adapter`; `ADAPTERS` names those that come with renet.
+`base` defines the interface, `models` opens model files, `evaluator` runs a study with an adapter
+and a model. An adapter is a module of some fifty lines with a class `Adapter`, which says what the
+policy observes and what its actions mean; `evaluator.ADAPTERS` names those that come with renet.
 """

@@ -8,66 +8,90 @@ from typing import ClassVar
 import numpy as np
 
 from renet.evaluation.adapters.models import Model
+from renet.interface import ACTION_SIZE
 
 
 @dataclass(frozen=True)
 class Senses:
-    """What N robots sense at a control step, 50 times a second.
+    """Sensor readings of N robots at a control step, 50 times a second.
 
-    Joints are in the order of `renet.interface.JOINTS`: legs FR, FL, RR, RL, of each hip, thigh,
-    calf. The base frame is x forward, y left, z up.
+    Joints are in the order of `renet.interface.JOINTS`: legs FR, FL, RR, RL, each with hip, thigh
+    and calf. The base frame is x forward, y left, z up.
     """
 
     angular_velocity: np.ndarray
-    """[N, 3] rad/s, base frame, with a gyroscope's noise."""
+    """[N, 3] rad/s, base frame, with the gyroscope's noise."""
     gravity: np.ndarray
     """[N, 3] unit vector, base frame, with noise."""
     command: np.ndarray
     """[N, 3]: v_x, v_y in m/s and omega_z in rad/s, base frame."""
     joint_position: np.ndarray
-    """[N, 12] rad, with errors of the joints' zeros."""
+    """[N, 12] rad, with the encoders' zero errors."""
     joint_velocity: np.ndarray
     """[N, 12] rad/s, with noise."""
     depth: np.ndarray
     """[N, 48, 64] m, at most 2, top row first; a new image every 0.1 s, unless the camera fails.
-    87 degrees wide, 58 high, 30 degrees downward (`renet.camera.Intrinsics`, the robot's
-    `MountCfg`)."""
+    The field of view is 87 by 58 degrees, and the camera looks 30 degrees downward
+    (`renet.camera.Intrinsics`, the robot's `MountCfg`)."""
     velocity: np.ndarray
-    """[N, 3] m/s, base frame: the simulator's truth, which no robot measures. Only for adapters
-    whose `needs_velocity` is true; else empty."""
+    """[N, 3] m/s, base frame: the simulator's true velocity, which no robot measures. Empty unless
+    the adapter's `needs_velocity` is true."""
 
 
 class Adapter:
     """Base of all adapters: one policy for N robots.
 
-    A subclass says on which robot and with which gains the policy was trained, turns `Senses` into
-    the inputs of its model, and its outputs into joint targets.
+    A subclass names the robot and the gains that the policy was trained with, converts `Senses`
+    to the inputs of its model, and the model's outputs to joint targets.
     """
 
     bundle: ClassVar[str] = "go1-parkour"
     """Name of the shipped bundle whose robot the policy drives: go1-parkour or go2-parkour."""
     stiffness: ClassVar[float] = 40.0
-    """Kp of the policy's training, N m/rad."""
+    """Kp in the policy's training, N m/rad."""
     damping: ClassVar[float] = 1.0
-    """Kd of the policy's training, N m s/rad."""
+    """Kd in the policy's training, N m s/rad."""
     uses_camera: ClassVar[bool] = False
-    """Whether the policy looks at depth images."""
+    """True if the policy reads depth images."""
     needs_velocity: ClassVar[bool] = False
-    """Whether the policy needs the base's true velocity; the leaderboard says so."""
+    """True if the policy reads the base's true velocity; `Senses.velocity` is empty otherwise."""
 
     def __init__(self, model: Model, num_robots: int) -> None:
-        """Begin with N robots.
+        """Prepare to drive N robots.
 
         Args:
-            model: what the user's file holds; raises RenetError if it is not what this adapter
-                is for. num_robots: N.
+            model: the user's file; raises RenetError if it does not fit this adapter.
+            num_robots: N.
         """
         self.model = model
         self.num_robots = num_robots
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the past of the masked robots, [N] bool."""
+        """Clear the state of the masked robots, [N] bool."""
 
     def act(self, senses: Senses) -> np.ndarray:
         """Joint targets, [N, 12] rad."""
         raise NotImplementedError
+
+
+class OffsetAdapter(Adapter):
+    """Base of adapters whose actions are offsets from a pose, and who observe the last action."""
+
+    pose: np.ndarray
+    """Joint positions at which an action is zero, [12] rad, in the policy's joint order."""
+    action_scale: np.ndarray | float
+    """Joint target per unit of action, rad."""
+
+    def __init__(self, model: Model, num_robots: int) -> None:
+        super().__init__(model, num_robots)
+        self._action = np.zeros((num_robots, ACTION_SIZE), np.float32)
+        """Action of the last step, [N, 12], in the policy's joint order."""
+
+    def reset(self, mask: np.ndarray) -> None:
+        """Clear the last action of the masked robots, [N] bool."""
+        # The first observation of an episode has no action before it.
+        self._action[mask] = 0.0
+
+    def _target(self) -> np.ndarray:
+        """Joint targets of the last action, [N, 12] rad, in the policy's joint order."""
+        return self.pose + self.action_scale * self._action

@@ -1,4 +1,4 @@
-"""Puts an adapter and a model into renet's studies."""
+"""Evaluator of a policy of another project: an adapter and a model in place of a bundle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from renet.bundle import pretrained
 from renet.errors import RenetError, printable, unknown_name
 from renet.evaluation.adapters.base import Adapter, Senses
-from renet.evaluation.adapters.models import MAX_MODEL, open_model
+from renet.evaluation.adapters.models import MAX_POLICY_SIZE, open_model
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.files import read_bytes
@@ -30,14 +30,16 @@ from renet.robots import Robot
 
 ADAPTERS = ("onnx-depth", "playground", "himloco", "robogauge", "robot-lab")
 """Adapters that come with renet, each a module of this package."""
-SLICES = proprioception_slices()
-SCALES = {term.name: term.scale for term in PROPRIOCEPTION}
+_SLICES = proprioception_slices()
+"""Place of each term in the proprioception, by its name."""
+_SCALES = {term.name: term.scale for term in PROPRIOCEPTION}
+"""Scale of each term of the proprioception, by its name."""
 
 
 def find_adapter(name: str) -> type[Adapter]:
-    """The adapter of a name, or of a Python file that defines a class `Adapter`.
+    """Find an adapter by name, or load it from a Python file that defines a class `Adapter`.
 
-    Raises RenetError where there is none.
+    Raises RenetError if there is none.
     """
     if name.endswith(".py"):
         return _adapter_of_file(Path(name))
@@ -48,13 +50,14 @@ def find_adapter(name: str) -> type[Adapter]:
 
 
 def _adapter_of_file(path: Path) -> type[Adapter]:
-    """The class `Adapter` of a user's own file."""
+    """Load the class `Adapter` of a user's own file."""
     if not path.is_file():
         raise RenetError(f"adapter {path} does not exist")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    # A user's module may raise anything.
     try:
         spec.loader.exec_module(module)
     except Exception as error:
@@ -68,7 +71,7 @@ def _adapter_of_file(path: Path) -> type[Adapter]:
 
 
 class AdaptedPolicy:
-    """An adapter in the shape of a study's policy (`renet.pilot.policy.Policy`)."""
+    """An adapter with the interface of `renet.pilot.policy.Policy`."""
 
     def __init__(
         self,
@@ -81,37 +84,51 @@ class AdaptedPolicy:
         """Wrap an adapter.
 
         Args:
-            adapter: of N robots. robot: in the scene.
-            told: how the bundle's robots are told where to go, see `interface.TOLD`.
-            default_position: of the joints, [12] rad. velocity: the base's true velocity, [N, 3].
+            adapter: adapter of N robots.
+            robot: the robot in the scene.
+            told: form of the bundle's commands, see `interface.TOLD`.
+            default_position: default joint positions, [12] rad.
+            velocity: returns the base's true velocity, [N, 3] m/s.
         """
         self._adapter = adapter
         self._robot = robot
         self._told = told
         self._default = default_position
         self._velocity = velocity
-        self._driven = np.ones(adapter.num_robots, bool)
         self.anomaly_score = np.zeros(adapter.num_robots)
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Forget the past of the masked robots, of all by default."""
-        everybody = np.ones(self._adapter.num_robots, bool)
-        self._adapter.reset(everybody if mask is None else mask)
+        """Clear the state of the masked robots, [N] bool; of all by default."""
+        if mask is None:
+            mask = np.ones(self._adapter.num_robots, bool)
+        self._adapter.reset(mask)
 
     def step(
         self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
     ) -> np.ndarray:
-        """Actions [N, 12] in the study's units."""
-        part = {name: proprioception[:, place] / SCALES[name] for name, place in SLICES.items()}
-        command = part["command"]
+        """Act for one control step.
+
+        Args:
+            proprioception: scaled readings, [N, 45].
+            depth: images in units of the depth range, [N, 48, 64].
+            op_mask: [N] bool, true where OP is to act; unused, for an adapter has one policy.
+
+        Returns:
+            Actions in the study's units, [N, 12].
+        """
+        # Back to physical units.
+        reading = {}
+        for name, place in _SLICES.items():
+            reading[name] = proprioception[:, place] / _SCALES[name]
+        command = reading["command"]
         if self._told == "heading":
             command = _twist(command)
         senses = Senses(
-            angular_velocity=part["base_angular_velocity"],
-            gravity=part["projected_gravity"],
+            angular_velocity=reading["base_angular_velocity"],
+            gravity=reading["projected_gravity"],
             command=command,
-            joint_position=part["joint_position"] + self._default,
-            joint_velocity=part["joint_velocity"],
+            joint_position=reading["joint_position"] + self._default,
+            joint_velocity=reading["joint_velocity"],
             depth=depth * DEPTH_RANGE,
             velocity=self._velocity(),
         )
@@ -122,21 +139,29 @@ class AdaptedPolicy:
                 f"adapter {type(self._adapter).__module__} gives joint targets of shape"
                 f" {list(target.shape)}, or not finite: {list(expected)} are needed"
             )
+        # A study's action is an offset from the default position in units of the action scale.
         return (target - self._default).astype(np.float32) / np.float32(self._robot.action_scale)
 
 
 def _twist(heading: np.ndarray) -> np.ndarray:
-    """The twist of a command (c_x, sin e, cos e), as policies that are told twists get it."""
+    """Convert commands (c_x, sin e, cos e), [N, 3], to twists (v_x, v_y, omega_z), [N, 3]."""
     speed, sine, cosine = heading.T
     turn = np.clip(TURN_GAIN * np.arctan2(sine, cosine), -MAX_TURN, MAX_TURN)
+    # A robot that is commanded to stand does not turn either.
     return np.stack((speed, np.zeros_like(speed), turn * (speed > 0.0)), axis=1)
 
 
 class AdaptedEvaluator(Evaluator):
-    """A model of somebody else's in the place of the bundle that ships for its robot."""
+    """Evaluator of another project's model, on the robot of a bundle that comes with renet."""
 
     def __init__(self, path: Path, adapter: str, engine: str = "auto") -> None:
-        """Open a model; raises RenetError where it, or the adapter, cannot be used."""
+        """Open a model; raises RenetError if it or the adapter cannot be used.
+
+        Args:
+            path: file of the model.
+            adapter: name of an adapter, or a Python file, see `find_adapter`.
+            engine: auto, native or warp.
+        """
         self.adapter = find_adapter(adapter)
         super().__init__(pretrained(self.adapter.bundle), engine)
         self._path = path
@@ -146,13 +171,13 @@ class AdaptedEvaluator(Evaluator):
 
     @property
     def entries(self) -> dict[str, str]:
-        """Entries of the benchmark that the policy can walk as, and the rollout's mode of each."""
+        """The rollout's mode of each entry of the benchmark that the policy can walk as."""
         if self.adapter.uses_camera:
             return {"camera": "camera", "healthy": "camera"}
         return {"blind": "blind"}
 
     def _check(self) -> None:
-        """Act once, before minutes are spent: a wrong file is told at once."""
+        """Act once, so that a file of the wrong shape fails before a study begins."""
         still = np.zeros((1, 3), np.float32)
         zero = np.zeros((1, ACTION_SIZE), np.float32)
         senses = Senses(
@@ -175,7 +200,7 @@ class AdaptedEvaluator(Evaluator):
 
     @cached_property
     def _default(self) -> np.ndarray:
-        """Default joint positions, which proprioception counts from, [12] rad."""
+        """Default joint positions, the zero of the proprioception's, [12] rad."""
         return np.asarray(self.bundle.manifest.robot.arrays["default_position"], np.float32)
 
     @property
@@ -185,23 +210,22 @@ class AdaptedEvaluator(Evaluator):
         return replace(robot, stiffness=self.adapter.stiffness, damping=self.adapter.damping)
 
     def make_policy(self, num_robots: int) -> AdaptedPolicy:
-        """The policy for N robots of the newest environment."""
+        """Make the policy for N robots of the newest environment."""
         adapter = self.adapter(open_model(self._path, num_robots), num_robots)
-        return AdaptedPolicy(
-            adapter,
-            self.robot,
-            self.bundle.manifest.told,
-            self._default,
-            self._true_velocity if self.adapter.needs_velocity else lambda: np.zeros((0, 3)),
-        )
+        told = self.bundle.manifest.told
+        return AdaptedPolicy(adapter, self.robot, told, self._default, self._velocity)
 
-    def _true_velocity(self) -> np.ndarray:
-        """Of the newest environment's robots, [N, 3] m/s."""
+    def _velocity(self) -> np.ndarray:
+        """True velocity of the newest environment's robots, [N, 3] m/s; empty if not needed."""
+        if not self.adapter.needs_velocity:
+            return np.zeros((0, 3))
         return self.env.observation["velocity"].numpy()
 
     def provenance(self, seed: int) -> Provenance:
-        """The file's name and hash in place of a bundle's."""
-        digest = hashlib.sha256(read_bytes(self._path, MAX_MODEL, "policy"))
+        """The provenance of numbers, with the name and the hash of the policy's file."""
+        # The file stands in for a bundle's models and selector.
+        digest = hashlib.sha256(read_bytes(self._path, MAX_POLICY_SIZE, "policy"))
+        # The same file behind another adapter is another policy.
         digest.update(self.adapter.__name__.encode() + self.adapter.__module__.encode())
         engine = "native" if self.engine == "auto" else self.engine
         return Provenance(self._path.stem, digest.hexdigest(), engine, seed)

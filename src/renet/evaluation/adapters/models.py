@@ -1,4 +1,4 @@
-"""Opens the models that other people export: ONNX and TorchScript."""
+"""Model files of other projects: ONNX and TorchScript."""
 
 from __future__ import annotations
 
@@ -12,34 +12,36 @@ import numpy as np
 from renet.errors import RenetError, printable
 from renet.files import require_regular
 
-MAX_MODEL = 500_000_000
-"""Bytes of a model."""
+MAX_POLICY_SIZE = 500_000_000
+"""Largest size of a policy's file, bytes."""
 
 
 class Model(Protocol):
-    """A function of arrays, of one robot each where it has a memory of its own."""
+    """A policy's network: arrays in, arrays out. A recurrent one keeps a state for each robot."""
 
     name: str
-    """The file's, for messages."""
+    """Name of the file, for error messages."""
 
     def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
-        """All outputs for the inputs in their order; robot: whose memory to use."""
+        """Evaluate the model on inputs in its own order, with the state of one robot."""
         ...
 
     def reset(self, robot: int) -> None:
-        """Forget what the model itself remembers of a robot."""
+        """Clear the model's own state of a robot."""
         ...
 
 
 def open_model(path: Path, num_robots: int = 1) -> Model:
-    """Open a file; raises RenetError where it is missing, damaged or of another kind.
+    """Open a model file; raises RenetError if it is missing, damaged or of another kind.
 
     Args:
-        path: `.onnx`, or `.pt` of `torch.jit.save`. num_robots: whose memories it may have to keep.
+        path: `.onnx`, or `.pt` of `torch.jit.save`.
+        num_robots: number of robots whose states the model may have to keep.
     """
     if not path.exists():
         raise RenetError(f"the policy {path} does not exist")
-    require_regular(path, MAX_MODEL, "policy")
+    # A pipe or a device would block the reader.
+    require_regular(path, MAX_POLICY_SIZE, "policy")
     if path.suffix == ".onnx":
         return OnnxModel(path)
     if path.suffix in (".pt", ".pth", ".jit"):
@@ -48,19 +50,20 @@ def open_model(path: Path, num_robots: int = 1) -> Model:
 
 
 def _first_line(error: Exception) -> str:
+    """First line of an error's message, at most 160 characters; its type if it has none."""
     text = str(error).strip() or type(error).__name__
     return printable(text.splitlines()[0][:160])
 
 
 class OnnxModel:
-    """An ONNX model, which remembers nothing."""
+    """An ONNX model, which has no state."""
 
     def __init__(self, path: Path) -> None:
         import onnxruntime as ort
 
         self.name = path.name
         options = ort.SessionOptions()
-        # Several threads would spin between operations.
+        # Idle threads of a pool spin, and take time from the simulator.
         options.intra_op_num_threads = 1
         options.log_severity_level = 4
         try:
@@ -70,38 +73,38 @@ class OnnxModel:
         self._inputs = [node.name for node in self._session.get_inputs()]
 
     def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
-        """All outputs for the inputs in the model's order."""
+        """Evaluate the model on inputs in its own order."""
         if len(inputs) != len(self._inputs):
             raise RenetError(
                 f"{self.name} has the inputs {', '.join(map(printable, self._inputs))}, this"
                 f" adapter gives {len(inputs)}: choose another --adapter"
             )
-        feed = {
-            name: np.ascontiguousarray(value, np.float32)
-            for name, value in zip(self._inputs, inputs, strict=True)
-        }
+        feed = {}
+        for name, value in zip(self._inputs, inputs, strict=True):
+            feed[name] = np.ascontiguousarray(value, np.float32)
         try:
-            return [np.asarray(output) for output in self._session.run(None, feed)]
+            return list(map(np.asarray, self._session.run(None, feed)))
         except Exception as error:
-            raise mismatch(self.name, inputs, error) from None
+            raise _input_error(self.name, inputs, error) from None
 
     def reset(self, robot: int) -> None:
-        """Nothing is remembered."""
+        """Do nothing: there is no state."""
 
 
 class TorchScriptModel:
-    """A TorchScript module; one copy for each robot whose memory it keeps."""
+    """A TorchScript module, with one copy for each robot whose state it keeps."""
 
     def __init__(self, path: Path, num_robots: int) -> None:
         import torch
 
         self.name = path.name
         self._torch = torch
+        self._modules: list[Any] = []
+        """The copies, [N]."""
         try:
             with warnings.catch_warnings(action="ignore"):
-                self._modules: list[Any] = [
-                    torch.jit.load(path, map_location="cpu").eval() for _ in range(num_robots)
-                ]
+                for _ in range(num_robots):
+                    self._modules.append(torch.jit.load(path, map_location="cpu").eval())
         except Exception as error:
             raise RenetError(
                 f"{path} is no TorchScript module: {_first_line(error)}; a checkpoint holds weights"
@@ -109,15 +112,17 @@ class TorchScriptModel:
             ) from None
 
     def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
-        """All tensors that the robot's copy returns, those in nested tuples, too."""
+        """Evaluate the robot's copy; returns all its tensors, those of nested tuples included."""
         torch = self._torch
-        tensors = [torch.from_numpy(np.ascontiguousarray(value, np.float32)) for value in inputs]
+        tensors = []
+        for value in inputs:
+            tensors.append(torch.from_numpy(np.ascontiguousarray(value, np.float32)))
         try:
             with torch.inference_mode():
                 outputs = self._modules[robot](*tensors)
         except Exception as error:
-            raise mismatch(self.name, inputs, error) from None
-        return [tensor.numpy() for tensor in _flat(outputs)]
+            raise _input_error(self.name, inputs, error) from None
+        return [tensor.numpy() for tensor in _tensors(outputs)]
 
     def reset(self, robot: int) -> None:
         """Call the module's own `reset`, if it has one."""
@@ -126,17 +131,20 @@ class TorchScriptModel:
             reset()
 
 
-def _flat(outputs: Any) -> list[Any]:
-    """The tensors of nested tuples and lists, in their order; what is none is left out."""
-    if isinstance(outputs, (tuple, list)):
-        return [tensor for part in outputs for tensor in _flat(part)]
-    return [outputs] if hasattr(outputs, "numpy") else []
+def _tensors(outputs: Any) -> list[Any]:
+    """Tensors of nested tuples and lists, in their order, without anything else in them."""
+    if not isinstance(outputs, (tuple, list)):
+        return [outputs] if hasattr(outputs, "numpy") else []
+    tensors = []
+    for part in outputs:
+        tensors += _tensors(part)
+    return tensors
 
 
-def mismatch(name: str, inputs: Sequence[np.ndarray], error: Exception) -> RenetError:
-    """The error for a model that does not take what the adapter gives."""
+def _input_error(name: str, inputs: Sequence[np.ndarray], error: Exception) -> RenetError:
+    """Error for a model that does not take the adapter's inputs."""
     shapes = ", ".join(str(list(value.shape)) for value in inputs)
-    # TorchScript's traceback begins with where, and ends with what.
+    # TorchScript's traceback begins with the place and ends with the reason.
     last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
     return RenetError(
         f"{name} does not take inputs of shapes {shapes}: {printable(last.strip()[:160])};"

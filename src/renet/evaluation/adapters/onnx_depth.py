@@ -1,8 +1,8 @@
-"""Any model of (observation [N, 45], depth [N, 48, 64]) that gives actions [N, 12].
+"""ONNX models with inputs (observation [N, 45], depth [N, 48, 64]) and output action [N, 12].
 
 The observation is renet's own (`renet.interface.PROPRIOCEPTION`), the depth is divided by its range
-of 2 m, and actions are 0.25 rad of joint target from the Go1's default pose. For policies that were
-trained in renet's tasks, or beside them.
+of 2 m, and an action of 1 moves a joint target 0.25 rad from the Go1's default pose. This fits
+policies trained in renet's tasks, or with the same inputs elsewhere.
 """
 
 import numpy as np
@@ -13,21 +13,16 @@ from renet.evaluation.adapters.models import Model
 from renet.interface import DEPTH_RANGE, PROPRIOCEPTION
 
 
-class Adapter(base.Adapter):
-    """One observation and one image, without history."""
+class Adapter(base.OffsetAdapter):
+    """Policy with one observation and one image, without history."""
 
     uses_camera = True
 
     def __init__(self, model: Model, num_robots: int) -> None:
         super().__init__(model, num_robots)
         robot = read_manifest(pretrained(self.bundle)).robot
-        self._pose = np.asarray(robot.arrays["default_position"], np.float32)
-        self._scale = robot.action_scale
-        self._action = np.zeros((num_robots, 12), np.float32)
-
-    def reset(self, mask: np.ndarray) -> None:
-        """Forget the last action."""
-        self._action[mask] = 0.0
+        self.pose = np.asarray(robot.arrays["default_position"], np.float32)
+        self.action_scale = robot.action_scale
 
     def act(self, senses: base.Senses) -> np.ndarray:
         """Joint targets, [N, 12] rad."""
@@ -35,11 +30,12 @@ class Adapter(base.Adapter):
             "base_angular_velocity": senses.angular_velocity,
             "projected_gravity": senses.gravity,
             "command": senses.command,
-            "joint_position": senses.joint_position - self._pose,
+            "joint_position": senses.joint_position - self.pose,
             "joint_velocity": senses.joint_velocity,
             "last_action": self._action,
         }
+        # The order and the scales of renet's own proprioception.
         scaled = [parts[term.name] * term.scale for term in PROPRIOCEPTION]
         observation = np.concatenate(scaled, axis=1)
         self._action = self.model.run(observation, senses.depth / DEPTH_RANGE)[0]
-        return self._pose + self._scale * self._action
+        return self._target()

@@ -3,5 +3,5 @@
 import numpy as np
 
 LEFT_FIRST = np.array((3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8))
-"""Place in `renet.interface.JOINTS` of each joint of legs FL, FR, RL, RR, as Isaac Gym and MuJoCo
-Menagerie's Go2 have them; its own inverse."""
+"""Index in `renet.interface.JOINTS` of each joint of legs FL, FR, RL, RR, the order of Isaac Gym
+and of MuJoCo Menagerie's Go2. The permutation is its own inverse."""

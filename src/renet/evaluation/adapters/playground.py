@@ -8,44 +8,36 @@ measures.
 import numpy as np
 
 from renet.evaluation.adapters import base
-from renet.evaluation.adapters.models import Model
-
-POSE = np.array((0.1, 0.9, -1.8, -0.1, 0.9, -1.8, 0.1, 0.9, -1.8, -0.1, 0.9, -1.8), np.float32)
-"""Joint positions that actions are added to, rad."""
-SCALE = 0.5
-"""rad of joint target per unit of action."""
 
 
-class Adapter(base.Adapter):
-    """One observation of 48 numbers, without history; a batch of one."""
+class Adapter(base.OffsetAdapter):
+    """Policy with one observation of 48 numbers, without history, in batches of one."""
 
     bundle = "go1-parkour"
     stiffness = 35.0
     damping = 0.5
     needs_velocity = True
-
-    def __init__(self, model: Model, num_robots: int) -> None:
-        super().__init__(model, num_robots)
-        self._action = np.zeros((num_robots, 12), np.float32)
-
-    def reset(self, mask: np.ndarray) -> None:
-        """Forget the last action."""
-        self._action[mask] = 0.0
+    pose = np.array((0.1, 0.9, -1.8, -0.1, 0.9, -1.8, 0.1, 0.9, -1.8, -0.1, 0.9, -1.8), np.float32)
+    action_scale = 0.5
 
     def act(self, senses: base.Senses) -> np.ndarray:
         """Joint targets, [N, 12] rad."""
+        # Joints are in renet's own order.
         observation = np.concatenate(
             (
                 senses.velocity,
                 senses.angular_velocity,
                 senses.gravity,
-                senses.joint_position - POSE,
+                senses.joint_position - self.pose,
                 senses.joint_velocity,
                 self._action,
                 senses.command,
             ),
             axis=1,
         )
-        rows = [self.model.run(row[None])[0] for row in observation]
+        # The exported graph has a batch size of one.
+        rows = []
+        for row in observation:
+            rows.append(self.model.run(row[None])[0])
         self._action = np.concatenate(rows).astype(np.float32)
-        return POSE + SCALE * self._action
+        return self._target()

@@ -1,36 +1,31 @@
 """RoboGauge's mixture of experts on the Go2 (arXiv 2602.00678, MIT), which sees no image.
 
 The file is resources/models/go2/go2_moe_cts_124k.pt of github.com/wty-yy/RoboGauge, whose
-robogauge/tasks/robots/go2 says what its inputs are.
+robogauge/tasks/robots/go2 defines the inputs.
 """
 
 import numpy as np
 
 from renet.evaluation.adapters import base
-from renet.evaluation.adapters.models import Model
 from renet.evaluation.adapters.order import LEFT_FIRST
 
-POSE = np.array((0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5), np.float32)
-"""Joint positions that actions are added to, rad, legs FL, FR, RL, RR."""
-SCALE = 0.25
-"""rad of joint target per unit of action."""
-COMMAND_SCALE = np.array((2.0, 2.0, 0.25), np.float32)
+_COMMAND_SCALE = np.array((2.0, 2.0, 0.25), np.float32)
+"""Factors of v_x, v_y and omega_z in the observation."""
 
 
-class Adapter(base.Adapter):
-    """One observation of 45 numbers; the module keeps its history itself, of one robot."""
+class Adapter(base.OffsetAdapter):
+    """Policy with one observation of 45 numbers, whose module keeps the history of one robot."""
 
     bundle = "go2-parkour"
     stiffness = 20.0
     damping = 0.5
-
-    def __init__(self, model: Model, num_robots: int) -> None:
-        super().__init__(model, num_robots)
-        self._action = np.zeros((num_robots, 12), np.float32)
+    # Legs in the order FL, FR, RL, RR.
+    pose = np.array((0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5), np.float32)
+    action_scale = 0.25
 
     def reset(self, mask: np.ndarray) -> None:
-        """Forget the last action, and let the module forget."""
-        self._action[mask] = 0.0
+        """Clear the last action and the module's history of the masked robots, [N] bool."""
+        super().reset(mask)
         for robot in np.flatnonzero(mask).tolist():
             self.model.reset(robot)
 
@@ -40,13 +35,16 @@ class Adapter(base.Adapter):
             (
                 senses.angular_velocity * 0.25,
                 senses.gravity,
-                senses.command * COMMAND_SCALE,
-                senses.joint_position[:, LEFT_FIRST] - POSE,
+                senses.command * _COMMAND_SCALE,
+                senses.joint_position[:, LEFT_FIRST] - self.pose,
                 senses.joint_velocity[:, LEFT_FIRST] * 0.05,
                 self._action,
             ),
             axis=1,
         )
-        rows = [self.model.run(row[None], robot=robot)[0] for robot, row in enumerate(observation)]
+        # Each robot has a module of its own, which takes a batch of one.
+        rows = []
+        for robot, row in enumerate(observation):
+            rows.append(self.model.run(row[None], robot=robot)[0])
         self._action = np.concatenate(rows)
-        return (POSE + SCALE * self._action)[:, LEFT_FIRST]
+        return self._target()[:, LEFT_FIRST]

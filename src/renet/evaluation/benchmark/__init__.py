@@ -1,5 +1,6 @@
 """The fault benchmark, renet-faults, version 3 (docs/benchmark.md).
 
-`episodes` draws what is walked, `families` the faults, `walking` lets robots walk it, `scores`
-counts, `results` reads and writes files, `leaderboard` ranks them, `study` is the command.
+`episodes` draws courses, commands and faults, `families` lists the faults, `walking` simulates the
+robots, `scores` counts obstacles, `results` reads and writes result files, `leaderboard` ranks
+them, and `study` is the command.
 """

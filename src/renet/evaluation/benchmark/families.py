@@ -1,10 +1,11 @@
-"""Families of camera faults, and families that are sealed.
+"""Families of camera faults, and the file of sealed families.
 
-A family is a cause. Half of all episodes draw theirs among the loud ones, which a look at the image
-or at the clock gives away, half among lies: images that look healthy and are wrong.
+A family collects the faults of one cause. Half of all episodes draw theirs from the loud families,
+which a look at the image or at the clock gives away, and half from the lies: images that look
+healthy and are wrong.
 
-Sealed families are a file that is not in the repository. Its SHA-256 is, so that results on them
-can be checked once the file is published, and nobody can tune a policy to them before.
+The file of sealed families is not in the repository, but its SHA-256 is: nobody can tune a policy
+to these faults, and results on them can be checked once the file is published.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from renet.files import read_bytes
 Families = Mapping[str, tuple[str, ...]]
 """Names of the faults of each family."""
 
+# Faults that a look at the image or at the clock gives away.
 LOUD: Families = {
     "noise": ("gaussian", "salt_and_pepper"),
     "dark": ("blackout", "saturated"),
@@ -34,6 +36,7 @@ LOUD: Families = {
     "vegetation": ("grass", "tall_grass"),
     "intermittent": ("intermittent_blackout", "intermittent_frozen", "intermittent_glare"),
 }
+# Faults whose images look healthy and are wrong.
 LIES: Families = {
     "scale": ("wrong_scale", "gain_drift"),
     "mount": ("mount_knocked", "mount_creep", "turned"),
@@ -46,27 +49,28 @@ LIES: Families = {
     "stray light": ("stray_light",),
 }
 GLASS = "glass"
-"""The family that needs an obstacle on the ground."""
-SEVERITIES = (4, 5)
-"""Severities that are drawn."""
+"""Name of the family that needs an obstacle above the ground."""
+DRAWN_SEVERITIES = (4, 5)
+"""Severities of the benchmark's faults, one of which is drawn."""
 
 SEALED_SHA256 = "25f04b712f71d76cce087bef2410488c483db24135c6baa7303b3642d4b320b3"
 """SHA-256 of the file of sealed families."""
-MAX_SEALED = 100_000
-"""Bytes of that file."""
+_MAX_SEALED_SIZE = 100_000
+"""Largest size of that file, bytes."""
 
 
 def level_at(fault: type[Fault], severity: int) -> float:
-    """Level of a fault at a severity; how long it lasts is the episode's matter, not its own."""
+    """Level of a fault at a severity."""
+    # The duration is the episode's: a fault whose level is its duration goes on until then.
     return FOREVER if fault.level_is_duration else fault.level_of(severity)
 
 
 class SealedFaults:
-    """Faults of the sealed file: classes of `Fault` that are in no catalogue."""
+    """Faults of the sealed file, subclasses of `Fault` that `renet.faults.FAULTS` lacks."""
 
     def __init__(self, path: Path) -> None:
-        """Read the file; raises RenetError unless it is the one whose hash is known here."""
-        source = read_bytes(path, MAX_SEALED, "file of sealed families")
+        """Read the file; raises RenetError unless its hash is `SEALED_SHA256`."""
+        source = read_bytes(path, _MAX_SEALED_SIZE, "file of sealed families")
         digest = hashlib.sha256(source).hexdigest()
         if digest != SEALED_SHA256:
             raise RenetError(
@@ -74,27 +78,28 @@ class SealedFaults:
                 f" {digest[:12]}…, not {SEALED_SHA256[:12]}…"
             )
         names: dict[str, object] = {}
-        # The hash says whose code this is.
+        # The file is code; the hash has proved its origin.
         exec(compile(source, str(path), "exec"), names)
-        classes = names["FAMILIES"]
-        assert isinstance(classes, dict)
-        self.classes: dict[str, type[Fault]] = {
-            fault.name: fault for members in classes.values() for fault in members
-        }
-        """By name."""
-        self.families: Families = {
-            family: tuple(fault.name for fault in members) for family, members in classes.items()
-        }
+        members = names["FAMILIES"]
+        assert isinstance(members, dict)
+        self.classes: dict[str, type[Fault]] = {}
+        """Class of each fault, by its name."""
+        families: dict[str, tuple[str, ...]] = {}
+        for family, faults in members.items():
+            families[family] = tuple(fault.name for fault in faults)
+            for fault in faults:
+                self.classes[fault.name] = fault
+        self.families: Families = families
 
 
 def draw_fault(rng: np.random.Generator, families: Families) -> tuple[str, str]:
-    """Draw a family, and a fault of it: both uniformly."""
+    """Draw a family, then one of its faults, both uniformly; returns their names."""
     family = str(rng.choice(list(families)))
     return family, str(rng.choice(families[family]))
 
 
 def fault_of(name: str, sealed: SealedFaults | None = None) -> type[Fault]:
-    """The class of a fault by its name."""
+    """Class of a fault, by its name."""
     if sealed is not None and name in sealed.classes:
         return sealed.classes[name]
     return FAULTS[name]

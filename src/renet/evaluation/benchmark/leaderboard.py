@@ -1,9 +1,10 @@
-"""`renet evaluate leaderboard`: policies ranked by their result files."""
+"""Ranking of policies by their result files: `renet evaluate leaderboard`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +12,22 @@ import numpy as np
 import tyro
 
 from renet.errors import RenetError
-from renet.evaluation.benchmark.results import VERSION, read_result, rows_of_entry
+from renet.evaluation.benchmark.results import BENCHMARK_VERSION, read_result, rows_of_entry
 from renet.evaluation.benchmark.scores import (
     LEAST_TRAININGS,
     by_family,
     interval_over_trainings,
     lead,
-    score,
+    score_rows,
 )
-from renet.evaluation.results import Table, grouped, markdown
+from renet.evaluation.results import Table, column, markdown
 from renet.files import write_atomically
 from renet.terminal import show
 
 Result = Mapping[str, Any]
-COLUMNS = ("", "policy", "entry", "robot", "score", "95 %", "over", "behind it")
-MEASURES = {
+"""Content of a result file."""
+_COLUMNS = ("", "policy", "entry", "robot", "score", "95 %", "over", "behind it")
+_MEASURES = {
     "loud": "loud",
     "lies": "lies",
     "stranger": "stranger",
@@ -34,13 +36,14 @@ MEASURES = {
     "peak_torque": "peak N m",
     "speed_error": "error m/s",
 }
-"""Columns of the table of measures."""
-SHARES = ("loud", "lies", "stranger", "falls")
+"""Headings of the table of measures, by the names of the scores."""
+_SHARES = ("loud", "lies", "stranger", "falls")
+"""Measures that are shares; they are shown in per cent."""
 
 
 @dataclass(frozen=True)
 class LeaderboardCfg:
-    """Rank policies by their result files, and compare each with the first file's first entry."""
+    """Rank policies by their result files, and compare each with the first entry of the first."""
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """result.json of each policy; `renet evaluate benchmark` writes one."""
@@ -49,25 +52,26 @@ class LeaderboardCfg:
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One line of the leaderboard: an entry of one policy, or of several trainings of a method."""
+class LeaderboardEntry:
+    """Line of the leaderboard: an entry of one policy, or of several trainings of one method."""
 
     method: str
     name: str
     robot: str
     trainings: tuple[Sequence[Mapping[str, Any]], ...]
-    """Rows of each training."""
+    """Rows of the episodes, one sequence for each training."""
 
     @property
     def scores(self) -> dict[str, Any]:
         """Scores over all episodes of all trainings."""
-        return score([row for rows in self.trainings for row in rows])
+        return score_rows(list(chain.from_iterable(self.trainings)))
 
     @property
     def interval(self) -> tuple[float, float, str]:
-        """95 % interval of the score, and what it is over."""
+        """Low and high end of the score's 95 % interval, and the samples it is taken over."""
+        # The interval of a method is over its trainings, if there are enough of them.
         if len(self.trainings) >= LEAST_TRAININGS:
-            means = [score(rows)["score"] for rows in self.trainings]
+            means = column(list(map(score_rows, self.trainings)), "score")
             return (*interval_over_trainings(means), f"{len(means)} trainings")
         scores = self.scores
         return scores["ci95_low"], scores["ci95_high"], "episodes"
@@ -77,60 +81,63 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
     """Print the tables, write them and return their path; raises as `read_result` and `ranking`."""
     if not cfg.files:
         raise RenetError("give result files: `renet evaluate benchmark` writes result.json")
-    results = [read_result(path) for path in cfg.files]
-    tables = [ranking(results), measures(results), *map(family_table, results)]
+    results = list(map(read_result, cfg.files))
+    tables = [ranking(results), measures(results)]
+    for result in results:
+        tables.append(family_table(result))
     write_atomically(cfg.out, "\n".join(map(markdown, tables)).encode())
     for table in tables:
         show(*table)
     return cfg.out
 
 
-def entries_of(results: Sequence[Result]) -> list[Entry]:
-    """Entries of result files, those of a method's trainings together, in the files' order."""
-    lines = [
-        {
-            "method": result["policy"]["method"],
-            "robot": result["policy"]["robot"],
-            "entry": entry,
-            "rows": rows_of_entry(result, entry),
-        }
-        for result in results
-        for entry in result["scores"]
-    ]
-    return [
-        Entry(method, name, robot, tuple(line["rows"] for line in group))
-        for (method, name, robot), group in grouped(lines, "method", "entry", "robot").items()
-    ]
+def entries_of(results: Sequence[Result]) -> list[LeaderboardEntry]:
+    """Entries of result files in the files' order, the trainings of one method joined."""
+    # Rows of each training by method, entry and robot.
+    trainings: dict[tuple[str, str, str], list[Sequence[Mapping[str, Any]]]] = {}
+    for result in results:
+        policy = result["policy"]
+        for name in result["scores"]:
+            key = (policy["method"], name, policy["robot"])
+            trainings.setdefault(key, []).append(rows_of_entry(result, name))
+    entries = []
+    for (method, name, robot), rows in trainings.items():
+        entries.append(LeaderboardEntry(method, name, robot, tuple(rows)))
+    return entries
 
 
-def ranked(results: Sequence[Result]) -> list[Entry]:
-    """The entries of result files, best first; raises RenetError for different episodes."""
-    if len({result["episodes"] for result in results}) > 1:
+def rank_entries(results: Sequence[Result]) -> list[LeaderboardEntry]:
+    """Entries of result files, best first; raises RenetError if their episodes differ."""
+    if len(set(column(results, "episodes"))) > 1:
         raise RenetError("give results of the same episodes: all quick, all full, or all sealed")
     return sorted(entries_of(results), key=lambda entry: -entry.scores["score"])
 
 
 def ranking(results: Sequence[Result]) -> Table:
-    """The leaderboard, best first; shares in per cent.
+    """Table of the entries, best first, with shares in per cent.
 
-    The last column is how many points an entry is behind the first file's first one, with a 95 %
-    interval over episodes, each paired with itself. Raises as `ranked`.
+    The last column is the difference in points to the first entry of the first file, with a 95 %
+    interval over paired episodes. Raises as `rank_entries`.
     """
     reference = entries_of(results)[0]
-    rows = [_line(place, entry, reference) for place, entry in enumerate(ranked(results), start=1)]
+    rows = []
+    for place, entry in enumerate(rank_entries(results), start=1):
+        rows.append(_line(place, entry, reference))
     title = (
-        f"renet-faults, version {VERSION}, {results[0]['episodes']} episodes;"
+        f"renet-faults, version {BENCHMARK_VERSION}, {results[0]['episodes']} episodes;"
         f" it: {reference.method}, {reference.name}"
     )
-    return title, COLUMNS, rows
+    return title, _COLUMNS, rows
 
 
-def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
+def _line(place: int, entry: LeaderboardEntry, reference: LeaderboardEntry) -> tuple[str, ...]:
+    """Row of the ranking for an entry at a place, compared with a reference."""
     low, high, over = entry.interval
+    # The reference has no difference to itself.
     difference = "-"
     if entry != reference:
-        pairs = lead(_mean_rows(reference), _mean_rows(entry))
-        difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*(100 * value for value in pairs))
+        points = 100 * np.array(lead(_mean_rows(reference), _mean_rows(entry)))
+        difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*points)
     return (
         str(place),
         entry.method,
@@ -144,40 +151,45 @@ def _line(place: int, entry: Entry, reference: Entry) -> tuple[str, ...]:
 
 
 def measures(results: Sequence[Result]) -> Table:
-    """What else is measured of the entries, in the leaderboard's order; shares in per cent."""
+    """Table of the entries' other measures, in the ranking's order, with shares in per cent."""
     rows = []
-    for entry in ranked(results):
+    for entry in rank_entries(results):
         scores = entry.scores
-        cells = [
-            _percent(scores[name]) if name in SHARES else _number(scores[name]) for name in MEASURES
-        ]
+        cells = []
+        for name in _MEASURES:
+            text = _percent if name in _SHARES else _number
+            cells.append(text(scores[name]))
         rows.append((entry.method, entry.name, *cells))
-    return "Measures", ("policy", "entry", *MEASURES.values()), rows
+    return "Measures", ("policy", "entry", *_MEASURES.values()), rows
 
 
-def _mean_rows(entry: Entry) -> list[dict[str, Any]]:
-    """One row for each episode, in which what was crossed is the mean of the trainings."""
-    return [
-        {"obstacles": rows[0]["obstacles"], "crossed": np.mean([row["crossed"] for row in rows])}
-        for rows in zip(*entry.trainings, strict=True)
-    ]
+def _mean_rows(entry: LeaderboardEntry) -> list[dict[str, Any]]:
+    """One row for each episode, with the obstacles crossed averaged over the trainings."""
+    means = []
+    for rows in zip(*entry.trainings, strict=True):
+        crossed = np.mean(column(rows, "crossed"))
+        means.append({"obstacles": rows[0]["obstacles"], "crossed": crossed})
+    return means
 
 
 def family_table(result: Result) -> Table:
-    """What is crossed under each family of faults, with the number of its episodes."""
-    families = {entry: by_family(rows_of_entry(result, entry)) for entry in result["scores"]}
-    first = next(iter(families.values()))
-    rows = [
-        (family, *(_percent(scores[family]["score"]) for scores in families.values()), count)
-        for family, count in sorted((name, of["episodes"]) for name, of in first.items())
-    ]
+    """Table of the obstacles crossed under each family of faults, in per cent, by entry."""
+    scores = {entry: by_family(rows_of_entry(result, entry)) for entry in result["scores"]}
+    # All entries walk the same episodes.
+    first = next(iter(scores.values()))
+    rows = []
+    for family in sorted(first):
+        shares = [_percent(families[family]["score"]) for families in scores.values()]
+        rows.append((family, *shares, first[family]["episodes"]))
     title = f"{result['policy']['name']}: crossed by family, %"
-    return title, ("family", *families, "episodes"), rows
+    return title, ("family", *scores, "episodes"), rows
 
 
 def _percent(share: float | None) -> str:
+    """A share in per cent, or a dash."""
     return "-" if share is None else f"{100 * share:.1f}"
 
 
 def _number(value: float | None) -> str:
+    """A number with three digits, or a dash."""
     return "-" if value is None else f"{value:.3g}"

@@ -1,4 +1,4 @@
-"""Result files: a policy, where its numbers come from, and a row for every episode."""
+"""Result files: a policy, the provenance of its numbers, and a row for every episode."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from jsonschema import Draft202012Validator
 
 from renet.errors import RenetError, printable
 from renet.evaluation.benchmark.episodes import EPISODES, QUICK_EPISODES, SEALED_EPISODES, SEED
-from renet.evaluation.benchmark.scores import Row
-from renet.evaluation.results import read_results
+from renet.evaluation.benchmark.scores import EpisodeRow
+from renet.evaluation.results import column, read_results, select
 
 BENCHMARK = "renet-faults"
-VERSION = 3
+"""Name of the benchmark."""
+BENCHMARK_VERSION = 3
+"""Version of its episodes and scores."""
 SETS = {
     "quick": range(QUICK_EPISODES),
     "full": range(EPISODES),
@@ -28,17 +30,21 @@ SETS = {
 def make_result(
     summary: Mapping[str, Any], method: str, robot: str, episodes: str
 ) -> dict[str, Any]:
-    """The result file of a study's summary.
+    """Build the content of a result file.
 
     Args:
-        summary: of `BenchmarkStudy`. method: what the policy is a training of.
-        robot: that it drives. episodes: the set that was walked, a key of `SETS`.
+        summary: summary of a `BenchmarkStudy`.
+        method: name of the method that the policy is a training of.
+        robot: name of the robot that it drives.
+        episodes: the set of episodes that was walked, a key of `SETS`.
     """
     origin = summary["provenance"]
-    names = ("commit", "engine", "command", "date")
+    provenance = {"renet": origin["renet_version"]}
+    for name in ("commit", "engine", "command", "date"):
+        provenance[name] = origin[name]
     return {
         "benchmark": BENCHMARK,
-        "version": VERSION,
+        "version": BENCHMARK_VERSION,
         "episodes": episodes,
         "policy": {
             "name": origin["bundle"],
@@ -46,7 +52,7 @@ def make_result(
             "robot": robot,
             "sha256": origin["bundle_hash"],
         },
-        "provenance": {"renet": origin["renet_version"]} | {name: origin[name] for name in names},
+        "provenance": provenance,
         "scores": summary["scores"],
         "rows": summary["runs"],
     }
@@ -54,23 +60,26 @@ def make_result(
 
 @cache
 def _validator() -> Draft202012Validator:
-    """Checks result files."""
+    """Validator of the schema of result files."""
     path = Path(__file__).with_name("result.schema.json")
     return Draft202012Validator(json.loads(path.read_text()))
 
 
 def read_result(path: Path) -> dict[str, Any]:
-    """Read a result file; raises RenetError for any other file, or one without all its rows."""
+    """Read a result file; raises RenetError if it is no result, or lacks rows."""
     content = read_results(path)
-    if content.get("benchmark") != BENCHMARK or content.get("version") != VERSION:
-        raise RenetError(f"{printable(str(path))} is no result of {BENCHMARK}, version {VERSION}")
+    if content.get("benchmark") != BENCHMARK or content.get("version") != BENCHMARK_VERSION:
+        raise RenetError(
+            f"{printable(str(path))} is no result of {BENCHMARK}, version {BENCHMARK_VERSION}"
+        )
     error = next(_validator().iter_errors(content), None)
     if error is not None:
-        # The message may quote the whole file; what is wrong with it comes last.
+        # The message may quote the whole file; the reason is at its end.
         message = error.message if len(error.message) < 200 else f"… {error.message[-150:]}"
         raise RenetError(printable(f"{path}, {error.json_path}: {message} (docs/benchmark.md)"))
+    # Scores compare entries by the same episodes, so none may be missing.
     for entry in content["scores"]:
-        numbers = [row["episode"] for row in rows_of_entry(content, entry)]
+        numbers = column(rows_of_entry(content, entry), "episode")
         if numbers != list(SETS[content["episodes"]]):
             raise RenetError(
                 printable(f"{path}: {entry} lacks episodes, or has them in another order")
@@ -78,12 +87,12 @@ def read_result(path: Path) -> dict[str, Any]:
     return content
 
 
-def rows_of_entry(result: Mapping[str, Any], entry: str) -> Sequence[Row]:
-    """The rows of one entry of a result file."""
-    return [row for row in result["rows"] if row["entry"] == entry]
+def rows_of_entry(result: Mapping[str, Any], entry: str) -> Sequence[EpisodeRow]:
+    """Rows of one entry of a result file."""
+    return select(result["rows"], entry=entry)
 
 
 def demand_version_seed(seed: int) -> None:
-    """Raise RenetError for a draw that is not the version's."""
+    """Raise RenetError unless episodes are drawn with the version's seed."""
     if seed != SEED:
-        raise RenetError(f"episodes of seed {seed} are not those of version {VERSION}")
+        raise RenetError(f"episodes of seed {seed} are not those of version {BENCHMARK_VERSION}")

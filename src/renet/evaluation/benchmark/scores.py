@@ -1,7 +1,7 @@
-"""What counts: obstacles crossed without a fall over all obstacles of the courses.
+"""Scores of the benchmark: obstacles crossed without a fall over all obstacles of the courses.
 
 An obstacle that a robot never reached counts as not crossed, so that all policies are judged by the
-same obstacles, and to stand still earns nothing.
+same obstacles and a robot that stands still scores nothing.
 """
 
 from __future__ import annotations
@@ -13,93 +13,111 @@ import numpy as np
 import scipy
 
 from renet.evaluation.metrics import bootstrap_interval
-from renet.evaluation.results import grouped
+from renet.evaluation.results import column, group_by
 
 if TYPE_CHECKING:
     from renet.evaluation.benchmark.episodes import Episode
     from renet.evaluation.benchmark.walking import Walk
 
-Row = Mapping[str, Any]
-"""One episode of one entry."""
-SHORT = 0.5
-"""Energy per metre says nothing of shorter ways, m."""
+EpisodeRow = Mapping[str, Any]
+"""Measures of one entry in one episode, by name."""
+_SHORTEST_WALK = 0.5
+"""Distance below which a walk does not count for the energy per metre, m."""
 LEAST_TRAININGS = 3
-"""Trainings of one method from which on the interval is over them."""
+"""Number of trainings of one method from which on the score's interval is over trainings."""
 
 
-def rows_of(walks: Mapping[str, Walk], episodes: Sequence[Episode]) -> list[Row]:
-    """A row for every episode of every entry."""
-    return [
-        {
-            "entry": entry,
-            "episode": episode.number,
-            "family": episode.family,
-            "lie": episode.lie,
-            "fault": episode.fault,
-            "stranger": episode.stranger,
-            "obstacles": len(episode.obstacles),
-        }
-        | {name: values[i].item() for name, values in vars(walk).items()}
-        for entry, walk in walks.items()
-        for i, episode in enumerate(episodes)
-    ]
+def rows_of(walks: Mapping[str, Walk], episodes: Sequence[Episode]) -> list[EpisodeRow]:
+    """A row for every episode of every entry; `walks` are by entry, each [N] episodes."""
+    rows = []
+    for entry, walk in walks.items():
+        for place, episode in enumerate(episodes):
+            row = {
+                "entry": entry,
+                "episode": episode.number,
+                "family": episode.family,
+                "lie": episode.lie,
+                "fault": episode.fault,
+                "stranger": episode.stranger,
+                "obstacles": len(episode.obstacles),
+            }
+            for name, values in vars(walk).items():
+                row[name] = values[place].item()
+            rows.append(row)
+    return rows
 
 
-def shares(rows: Sequence[Row]) -> np.ndarray:
+def crossed_shares(rows: Sequence[EpisodeRow]) -> np.ndarray:
     """Share of each row's obstacles that was crossed, [rows]."""
-    return np.array([row["crossed"] / row["obstacles"] for row in rows])
+    return np.array(column(rows, "crossed")) / np.array(column(rows, "obstacles"))
 
 
-def score(rows: Sequence[Row]) -> dict[str, Any]:
-    """The scores of one entry from its rows.
+def score_rows(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
+    """Scores of one entry from its rows.
 
-    `score` is the mean share of the obstacles crossed, over episodes; its 95 % interval is a
-    bootstrap over episodes. `loud` and `lies` are the same of the episodes with such faults,
-    `stranger` of those with another robot; None without any. `falls` is the share of episodes that
-    end in a fall.
+    Returns:
+        By name: `score`, the mean share of the obstacles crossed over episodes, with a 95 %
+        interval bootstrapped over episodes; `loud`, `lies` and `stranger`, the same of the episodes
+        with such faults or robots; `falls`, the share of episodes that end in a fall;
+        `energy_per_metre`, J/m; `peak_torque`, N m; `speed_error`, m/s. A measure without any
+        episode is None.
     """
-    crossed = shares(rows)
+    crossed = crossed_shares(rows)
     low, high = bootstrap_interval(crossed)
-    walked = [row for row in rows if row["metres"] >= SHORT]
-    joules = sum(row["joules"] for row in walked)
+    lie = np.array(column(rows, "lie"), bool)
+    stranger = np.array(column(rows, "stranger"), bool)
+    # A robot that stands still would have an infinite energy per metre.
+    walked = [row for row in rows if row["metres"] >= _SHORTEST_WALK]
+    energy_per_metre = None
+    if walked:
+        energy_per_metre = sum(column(walked, "joules")) / sum(column(walked, "metres"))
     return {
         "episodes": len(rows),
         "score": crossed.mean(),
         "ci95_low": low,
         "ci95_high": high,
-        "loud": _mean(shares([row for row in rows if not row["lie"]])),
-        "lies": _mean(shares([row for row in rows if row["lie"]])),
-        "stranger": _mean(shares([row for row in rows if row["stranger"]])),
-        "falls": _mean([row["fell"] for row in rows]),
-        "energy_per_metre": joules / sum(row["metres"] for row in walked) if walked else None,
-        "peak_torque": _mean([row["peak_torque"] for row in rows]),
-        "speed_error": _mean([row["speed_error"] for row in rows]),
+        "loud": _mean(crossed[~lie]),
+        "lies": _mean(crossed[lie]),
+        "stranger": _mean(crossed[stranger]),
+        "falls": _mean(column(rows, "fell")),
+        "energy_per_metre": energy_per_metre,
+        "peak_torque": _mean(column(rows, "peak_torque")),
+        "speed_error": _mean(column(rows, "speed_error")),
     }
 
 
 def _mean(values: Sequence[float] | np.ndarray) -> float | None:
+    """Mean, or None without any value."""
     return float(np.mean(values)) if len(values) else None
 
 
-def by_family(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+def by_family(rows: Sequence[EpisodeRow]) -> dict[str, dict[str, Any]]:
     """Share of obstacles crossed, and the number of episodes, by family of faults."""
-    return {
-        family: {"score": float(shares(group).mean()), "episodes": len(group)}
-        for (family,), group in grouped(rows, "family").items()
-    }
+    scores = {}
+    for (family,), group in group_by(rows, "family").items():
+        share = float(crossed_shares(group).mean())
+        scores[family] = {"score": share, "episodes": len(group)}
+    return scores
 
 
-def lead(rows: Sequence[Row], others: Sequence[Row]) -> tuple[float, float, float]:
-    """How much more one entry crosses than another: mean and 95 % interval over paired episodes.
+def lead(rows: Sequence[EpisodeRow], others: Sequence[EpisodeRow]) -> tuple[float, float, float]:
+    """Lead of one entry over another in the share crossed.
 
-    Rows are of the same episodes in the same order.
+    Args:
+        rows: rows of the one.
+        others: rows of the other, of the same episodes in the same order.
+
+    Returns:
+        Mean, and low and high end of the 95 % interval, over paired episodes.
     """
-    gain = shares(rows) - shares(others)
+    # Pairing removes the differences between episodes from the interval.
+    gain = crossed_shares(rows) - crossed_shares(others)
     return (float(gain.mean()), *bootstrap_interval(gain))
 
 
 def interval_over_trainings(means: Sequence[float]) -> tuple[float, float]:
-    """Student's 95 % interval of the mean of several trainings' scores."""
+    """Student's 95 % interval of the mean score of several trainings."""
+    # Few trainings: the normal distribution's interval would be too narrow.
     values = np.array(means)
     half = scipy.stats.t.ppf(0.975, len(values) - 1) * scipy.stats.sem(values)
     return float(values.mean() - half), float(values.mean() + half)

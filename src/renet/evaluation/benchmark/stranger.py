@@ -1,4 +1,4 @@
-"""A robot that nobody trained on: the policy's own, grown by a tenth, with the same motors."""
+"""The stranger: the policy's robot with all lengths a tenth larger, unknown to its training."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from renet.robots import Robot
 from renet.robots.model import load_model
 
-GROWN = 1.1
+_GROWTH = 1.1
 """Length of the stranger's parts relative to the robot's."""
 
 
-def stranger(robot: Robot, factor: float = GROWN) -> Robot:
-    """A robot whose every length is multiplied; density, motors and gains stay."""
+def stranger(robot: Robot, factor: float = _GROWTH) -> Robot:
+    """A robot with every length multiplied by a factor; density, motors and gains stay."""
 
     def spec() -> mujoco.MjSpec:
         return grow(load_model(robot), factor)
@@ -33,6 +33,7 @@ def stranger(robot: Robot, factor: float = GROWN) -> Robot:
 
 def grow(spec: mujoco.MjSpec, factor: float) -> mujoco.MjSpec:
     """Multiply every length of a robot's MJCF, in place; masses grow with volume."""
+    # Masses grow with the third power of length, inertias with the fifth.
     for mesh in spec.meshes:
         mesh.scale = factor * np.array(mesh.scale)
     for body in spec.bodies:

@@ -1,1 +1,1 @@
-"""Studies: what each varies, measures and draws."""
+"""Studies, one module each: settings, measures, figures and tables."""

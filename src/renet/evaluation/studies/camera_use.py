@@ -1,7 +1,7 @@
-"""The camera-use study: whether a policy looks at its camera, on which ground, and what it gains.
+"""The camera-use study: a policy's use of its camera, by ground, and the gain from it.
 
-Twins differ in nothing but the images they are shown. If the camera does not matter, they walk the
-same way to the centimetre. The policy may be anybody's (docs/measure.md, Your own policy).
+Twins differ only in the images they are shown. If the camera does not matter, they walk the same
+way to the centimetre. The policy may be of another project (docs/measure.md, Your own policy).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from scipy.stats import binomtest, fisher_exact
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
-from renet.evaluation.rollout import FLAT, EvalEnv, Mode, Trial
+from renet.evaluation.results import column, group_by, select
+from renet.evaluation.rollout import FLAT_GROUND, EvalEnv, StudyMode, Trial
 from renet.evaluation.studies.one_try import LevelStudy
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import StepResult
@@ -37,20 +37,29 @@ VIEWS = {
     "mirrored": "its images, left and right exchanged",
     "foreign": "another robot's images",
 }
-"""What each group of twins is shown. The control tells how far rounding alone parts twins."""
-PARTED = 0.01
-"""m by which the ways of twins differ at least once if the images mattered."""
-CHANCE = 0.01
-"""Probability below which a difference is not called chance; divided by the number of tests."""
+"""Images that each group of twins is shown. The control measures the effect of rounding alone."""
+_PARTED = 0.01
+"""Difference between the ways of twins at any step from which on the images mattered, m."""
+_SIGNIFICANCE = 0.01
+"""Probability below which a difference is significant; divided by the number of tests."""
 
 
 class ShownImages:
-    """An environment whose robots are shown other images than their cameras take; see `VIEWS`."""
+    """Environment whose robots are shown other images than their cameras take; see `VIEWS`."""
 
     def __init__(self, env: EvalEnv, views: Sequence[str], each: int) -> None:
-        """Wrap an environment: groups of `each` robots, one for every view of a ground in turn."""
-        self._env, self._views = env, np.array(views)
+        """Wrap an environment.
+
+        Args:
+            env: environment of N robots: for each ground, groups of `each` robots in the order of
+                `VIEWS`.
+            views: view of each robot, [N].
+            each: number of robots of a view.
+        """
+        self._env = env
+        self._views = np.array(views)
         row = np.arange(len(views))
+        # First row of the ground, where the healthy group is.
         healthy = row - row % (each * len(VIEWS))
         self._other = healthy + (row + 1) % each
         """The healthy row of the next robot on the same ground, [N]."""
@@ -59,7 +68,7 @@ class ShownImages:
         return getattr(self._env, name)
 
     def reset(self) -> StepResult:
-        """Put every robot at its start; its image there is what a frozen camera shows."""
+        """Put every robot at its start, whose image a frozen camera shows."""
         result = self._env.reset()
         self._first = result.depth.copy()
         return self._show(result)
@@ -69,13 +78,16 @@ class ShownImages:
         return self._show(self._env.step(action))
 
     def _show(self, result: StepResult) -> StepResult:
-        depth, shown = result.depth, result.depth.copy()
-        for view, images in (
-            ("blank", np.zeros_like(depth)),
-            ("frozen", self._first),
-            ("mirrored", depth[..., ::-1]),
-            ("foreign", depth[self._other]),
-        ):
+        """Replace the images of all views but the healthy ones."""
+        depth = result.depth
+        shown = depth.copy()
+        images_by_view = {
+            "blank": np.zeros_like(depth),
+            "frozen": self._first,
+            "mirrored": depth[..., ::-1],
+            "foreign": depth[self._other],
+        }
+        for view, images in images_by_view.items():
             rows = self._views == view
             shown[rows] = images[rows]
         return replace(result, depth=shown)
@@ -83,7 +95,7 @@ class ShownImages:
 
 @dataclass(frozen=True)
 class CameraUseStudy(LevelStudy):
-    """Whether a policy uses its camera: twins that are shown wrong images, on six grounds."""
+    """Test a policy's use of its camera: twins that are shown wrong images, on six grounds."""
 
     out: Path = Path("results/camera_use")
     """Folder for summary.md, summary.json, summary.csv, camera_use.png and parts/."""
@@ -96,13 +108,13 @@ class CameraUseStudy(LevelStudy):
         "gap:3",
     )
     """Ground and level, KIND:LEVEL, such as gap:3 or flat:1."""
-    modes: tuple[Mode, ...] = ("camera",)
-    """Mode of renet's own policies, one: camera looks always, blind never; others ignore it."""
+    modes: tuple[StudyMode, ...] = ("camera",)
+    """One mode of renet's own policies, such as camera or blind; other policies ignore it."""
     seconds: float = 10.0
-    """Time to leave the tile."""
+    """Time to leave the tile, s."""
 
     name: ClassVar[str] = "camera_use"
-    kinds: ClassVar[tuple[str, ...]] = (FLAT, *tiles())
+    kinds: ClassVar[tuple[str, ...]] = (FLAT_GROUND, *tiles())
     quick_robots: ClassVar[int] = 8
 
     def __post_init__(self) -> None:
@@ -111,62 +123,62 @@ class CameraUseStudy(LevelStudy):
             raise RenetError("give at least 2 robots, and one mode")
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
-        """All views on one ground, side by side."""
+        """Walk with all views on one ground, side by side."""
         each = self.robots_each
-        views = [view for view in VIEWS for _ in range(each)]
+        views = np.repeat(list(VIEWS), each).tolist()
         trials = [Trial(self.modes[0], (), row % each, kind) for row in range(len(views))]
         shown = partial(ShownImages, views=views, each=each)
-        # A robot whose try is over goes on taking the images that another is shown.
+        # Robots are not retired: others are shown their images.
         trace = self.walk(evaluator, {kind: level}, trials, title, retire=False, view=shown)
         groups = dict(zip(VIEWS, trace.groups(each), strict=True))
         healthy = groups["healthy"]
         part: Part = {}
         for view, group in groups.items():
+            # Compare twins as long as both are in their first try.
             apart = np.abs(group.travelled - healthy.travelled) * ~(healthy.over | group.over)
             crossed, *_ = group.first_try()
-            part[view] = {"crossed": crossed, "parted": apart.max(axis=0) > PARTED}
+            part[view] = {"crossed": crossed, "parted": apart.max(axis=0) > _PARTED}
         return part
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """One row for each ground and view, the totals over all grounds, and the sentence."""
-        grounds, labels = self.by_ground(parts), {"mode": self.modes[0], "seed": self.seed}
-        runs = [
-            {"ground": ground, "view": view} | labels | compare(part, view)
-            for ground, part in grounds.items()
-            for view in VIEWS
-        ]
-        whole = {
-            view: {
-                name: np.concatenate([part[view][name] for part in grounds.values()])
-                for name in ("crossed", "parted")
-            }
-            for view in VIEWS
-        }
-        total = {view: compare(whole, view) for view in VIEWS}
+        grounds = self.by_ground(parts)
+        runs = []
+        for ground, part in grounds.items():
+            for view in VIEWS:
+                run = {"ground": ground, "view": view, "mode": self.modes[0], "seed": self.seed}
+                runs.append(run | compare_with_twins(part, view))
+        # The robots of all grounds together.
+        all_grounds = {}
+        for view in VIEWS:
+            rows = column(list(grounds.values()), view)
+            crossed = np.concatenate(column(rows, "crossed"))
+            parted = np.concatenate(column(rows, "parted"))
+            all_grounds[view] = {"crossed": crossed, "parted": parted}
+        total = {view: compare_with_twins(all_grounds, view) for view in VIEWS}
         return {"runs": runs, "total": total, "sentence": sentence(total, runs)}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """camera_use.png: who crosses, by what it is shown, one panel for each ground."""
-        panels = {
-            ground.replace("_", " "): runs
-            for (ground,), runs in grouped(summary["runs"], "ground").items()
-        }
+        """Figure camera_use.png: shares that cross, by view, with a panel for each ground."""
+        panels = {}
+        for (ground,), runs in group_by(summary["runs"], "ground").items():
+            panels[ground.replace("_", " ")] = runs
         figure = figures.share_panels(panels, "crossed", itemgetter("view"), rotation=90)
         figure.suptitle(textwrap.fill(summary["sentence"], 100), fontsize=9)
         return {"camera_use.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Who crosses each ground, and who walks otherwise than its twin, by what it is shown."""
+        """Robots that cross each ground, and that walk otherwise than their twins, by view."""
         crossed = {(run["ground"], run["view"]): run["crossed"] for run in summary["runs"]}
-        rows: list[tuple[Any, ...]] = [
-            (ground, *(crossed[ground, view] for view in VIEWS)) for ground in self.grounds
-        ]
-        rows.append(("walk otherwise", *(summary["total"][view]["parted"] for view in VIEWS)))
+        rows: list[tuple[Any, ...]] = []
+        for ground in self.grounds:
+            rows.append((ground, *[crossed[ground, view] for view in VIEWS]))
+        rows.append(("walk otherwise", *[summary["total"][view]["parted"] for view in VIEWS]))
         robots = summary["runs"][0]["robots"]
         return [(summary["sentence"], (f"of {robots} cross", *VIEWS), rows)]
 
 
-def compare(part: Mapping[str, Mapping[str, Any]], view: str) -> dict[str, Any]:
+def compare_with_twins(part: Mapping[str, Mapping[str, Any]], view: str) -> dict[str, Any]:
     """Robots that cross in a view, and how they compare with their healthy twins.
 
     Args:
@@ -177,9 +189,11 @@ def compare(part: Mapping[str, Mapping[str, Any]], view: str) -> dict[str, Any]:
         Counts, the mean change from the twins with its 95 % interval over robots, and `p`, the
         probability that chance alone changes so many robots one way (exact sign test).
     """
-    crossed, healthy = (np.array(part[name]["crossed"], bool) for name in (view, "healthy"))
+    crossed = np.array(part[view]["crossed"], bool)
+    healthy = np.array(part["healthy"]["crossed"], bool)
     low, high = metrics.share_interval(crossed)
-    lost, won = int((healthy & ~crossed).sum()), int((crossed & ~healthy).sum())
+    lost = int((healthy & ~crossed).sum())
+    won = int((crossed & ~healthy).sum())
     change = crossed.astype(float) - healthy
     return {
         "robots": len(crossed),
@@ -195,31 +209,27 @@ def compare(part: Mapping[str, Mapping[str, Any]], view: str) -> dict[str, Any]:
 
 
 def sentence(total: Mapping[str, Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> str:
-    """What a study shows, in words; `total` by view and `runs` by ground are of `compare`."""
+    """Result of a study as a sentence.
+
+    Args:
+        total: comparison of each view over all grounds, see `compare_with_twins`.
+        runs: the same for each ground and view.
+    """
     views = [view for view in VIEWS if view not in ("healthy", "control")]
-    robots, unlike = total["healthy"]["robots"], CHANCE / len(views)
-
-    def parted(view: str) -> list[int]:
-        return [total[view]["parted"], robots - total[view]["parted"]]
-
-    tables = {view: [parted(view), parted("control")] for view in views}
-    looks = [v for v, table in tables.items() if fisher_exact(table, "greater").pvalue < unlike]
-    if not looks:
+    # Bonferroni's correction for the number of views.
+    limit = _SIGNIFICANCE / len(views)
+    different = _views_that_part(total, views, limit)
+    if not different:
         return "This policy ignores its camera: its robots walk alike, whatever they are shown."
-    costs = {view: total[view] for view in views if total[view]["p"] < unlike}
+    costs = {view: total[view] for view in views if total[view]["p"] < limit}
     if not costs:
         return (
             "This policy looks at its camera, for its robots walk otherwise when they are shown"
-            f" {VIEWS[looks[0]]}, but who crosses changes no more than by chance."
+            f" {VIEWS[different[0]]}, but who crosses changes no more than by chance."
         )
     view, worst = min(costs.items(), key=lambda item: item[1]["change"])
-    tests = len(views) * len({run["ground"] for run in runs})
-    where = [
-        run["ground"].partition(":")[0].replace("_", " ")
-        for run in runs
-        if run["view"] == view and run["p"] < CHANCE / tests
-    ]
-    alone = f"On {', '.join(where)} alone" if where else "On no ground alone"
+    alone = _grounds_beyond_chance(runs, view, len(views))
+    robots = total["healthy"]["robots"]
     return (
         f"This policy uses its camera: {total['healthy']['crossed']} of {robots} robots cross,"
         f" and {worst['crossed']} when they are shown {VIEWS[view]}"
@@ -227,3 +237,28 @@ def sentence(total: Mapping[str, Mapping[str, Any]], runs: Sequence[Mapping[str,
         f" {100 * worst['change_ci95_low']:+.0f} to {100 * worst['change_ci95_high']:+.0f})."
         f" {alone} the difference is larger than chance explains."
     )
+
+
+def _views_that_part(
+    total: Mapping[str, Mapping[str, Any]], views: Sequence[str], limit: float
+) -> list[str]:
+    """Views whose robots leave their twins' way significantly more often than the control's."""
+    robots = total["healthy"]["robots"]
+    control = total["control"]["parted"]
+    different = []
+    for view in views:
+        parted = total[view]["parted"]
+        table = [[parted, robots - parted], [control, robots - control]]
+        if fisher_exact(table, "greater").pvalue < limit:
+            different.append(view)
+    return different
+
+
+def _grounds_beyond_chance(runs: Sequence[Mapping[str, Any]], view: str, num_views: int) -> str:
+    """Grounds on which a view alone changes crossings significantly, as words."""
+    limit = _SIGNIFICANCE / (num_views * len(set(column(runs, "ground"))))
+    grounds = []
+    for run in select(runs, view=view):
+        if run["p"] < limit:
+            grounds.append(run["ground"].partition(":")[0].replace("_", " "))
+    return f"On {', '.join(grounds)} alone" if grounds else "On no ground alone"

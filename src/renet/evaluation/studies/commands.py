@@ -1,7 +1,7 @@
-"""The commands study: how closely a robot follows what it is told on flat ground.
+"""The commands study: errors of robots that follow commands on flat ground.
 
-Each robot follows one command, a velocity and a turn rate of its base, for the whole run. What it
-does while it settles does not count.
+Each robot follows one command, a velocity and a turn rate of its base, for the whole run. The time
+in which it settles does not count.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures
-from renet.evaluation.rollout import FLAT, Mode, Trial
+from renet.evaluation.results import column, select
+from renet.evaluation.rollout import FLAT_GROUND, StudyMode, Trial, robot_numbers
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
     from renet.evaluation.motion import Motion
 
-COMMANDS = (
+TWISTS = (
     (0.0, 0.0, 0.0),
     (0.3, 0.0, 0.0),
     (0.6, 0.0, 0.0),
@@ -41,49 +42,55 @@ COMMANDS = (
     (0.5, 0.0, 0.5),
     (0.4, 0.3, -0.5),
 )
-"""Twists: v_x and v_y in m/s, omega_z in rad/s, base frame."""
-SETTLE = 2.0
-"""Seconds in which a robot may get used to its command."""
-LONG_WAY = 5.0
+"""Commands: v_x and v_y in m/s, omega_z in rad/s, base frame."""
+_SETTLE_TIME = 2.0
+"""Time in which a robot settles into its command, s."""
+_DRIFT_DISTANCE = 5.0
 """Distance for which drift is given, m."""
-SHORTEST_WAY = 0.5
-"""Distance that robots must have walked for their drift to mean something, m."""
+_SHORTEST_WALK = 0.5
+"""Distance below which drift is not computed, m."""
+_MEASURES = ("done", "speed_error", "yaw_rate_error", "drift_m", "slip", "power", "peak_torque")
+"""Names of the measures of a group of robots."""
 
 
 @dataclass(frozen=True)
 class CommandStudy(WalkingStudy):
-    """How closely robots on flat ground follow velocities and turn rates."""
+    """Measure the errors with which robots on flat ground follow velocities and turn rates."""
 
     out: Path = Path("results/commands")
     """Folder for summary.md, summary.json, summary.csv, commands.png and parts/."""
-    modes: tuple[Mode, ...] = ("camera", "blind")
+    modes: tuple[StudyMode, ...] = ("camera", "blind")
     seconds: float = 8.0
-    """Length of each run, of which the first two seconds do not count."""
+    """Length of each run, s, of which the first two seconds do not count."""
 
     name: ClassVar[str] = "commands"
     quick_robots: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.seconds <= SETTLE:
-            raise RenetError(f"seconds must exceed {SETTLE:g}, got {self.seconds:g}")
+        if self.seconds <= _SETTLE_TIME:
+            raise RenetError(f"seconds must exceed {_SETTLE_TIME:g}, got {self.seconds:g}")
 
     @property
     def groups(self) -> list[tuple[str, tuple[float, float, float]]]:
         """Mode and command of each group of robots."""
-        return list(product(self.modes, COMMANDS))
+        return list(product(self.modes, TWISTS))
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """All robots of every command and mode, side by side."""
+        """One part: all robots of every command and mode, side by side."""
         return {"runs": partial(self._follow, evaluator)}
 
     def _follow(self, evaluator: Evaluator) -> Part:
+        """Follow the commands and measure each group of robots."""
         from renet.evaluation.motion import MotionSensor
 
         each = self.robots_each
-        trials = [Trial(mode, robot=robot) for mode, _ in self.groups for robot in range(each)]
-        env = evaluator.make_env(FLAT, [trial.robot for trial in trials], self.speed, self.seed)
-        commands = np.repeat([command for _, command in self.groups], each, axis=0)
+        trials = []
+        for mode, _ in self.groups:
+            trials += [Trial(mode, robot=robot) for robot in range(each)]
+        env = evaluator.make_env(FLAT_GROUND, robot_numbers(trials), self.speed, self.seed)
+        # Every mode follows all commands, see `groups`.
+        commands = np.repeat(TWISTS * len(self.modes), each, axis=0)
         sensor = MotionSensor(env)
         motions: list[Motion] = []
 
@@ -94,23 +101,28 @@ class CommandStudy(WalkingStudy):
         rollout = evaluator.rollout(env, trials, self.seed)
         steps = round(self.seconds / CONTROL_DT)
         trace = rollout.run(steps, f"{len(trials)} robots follow commands", on_step=watch)
-        settled = round(SETTLE / CONTROL_DT)
+        settled = round(_SETTLE_TIME / CONTROL_DT)
         fell = np.any(trace.fell, axis=0)
         runs = []
         robots = np.arange(len(trials)).reshape(-1, each)
         for (mode, command), index in zip(self.groups, robots, strict=True):
-            stood = index[~fell[index]]
-            row = {"mode": mode, "command": list(command), "robots": each}
-            row |= {"falls": int(fell[index].sum()), "seed": self.seed}
-            runs.append(row | summary_of(motions[settled:], stood, np.array(command)))
+            upright = index[~fell[index]]
+            row = {
+                "mode": mode,
+                "command": list(command),
+                "robots": each,
+                "falls": int(fell[index].sum()),
+                "seed": self.seed,
+            }
+            runs.append(row | summary_of(motions[settled:], upright, np.array(command)))
         return {"runs": runs}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The rows."""
-        return {"runs": parts["runs"]["runs"], "settle_s": SETTLE}
+        return {"runs": parts["runs"]["runs"], "settle_s": _SETTLE_TIME}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """What was asked for and what was done."""
+        """Figure commands.png: velocities asked for and done."""
         return {"commands.png": asked_and_done(summary["runs"], self.modes)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
@@ -120,10 +132,11 @@ class CommandStudy(WalkingStudy):
         for run in summary["runs"]:
             asked = " ".join(f"{value:g}" for value in run["command"])
             done = "-" if run["done"] is None else " ".join(f"{v:.2f}" for v in run["done"])
-            numbers = [run[name] for name in ("drift_m", "power", "peak_torque")]
-            shown = ["-" if n is None else f"{n:.2f}" for n in numbers]
             falls = f"{run['falls']} of {run['robots']}"
-            rows.append((run["mode"], asked, done, falls, *shown))
+            row = [run["mode"], asked, done, falls]
+            for name in ("drift_m", "power", "peak_torque"):
+                row.append("-" if run[name] is None else f"{run[name]:.2f}")
+            rows.append(tuple(row))
         title = (
             "Commands on flat ground: m/s ahead, m/s left, rad/s; drift in m after 5 m; mean power"
         )
@@ -131,64 +144,73 @@ class CommandStudy(WalkingStudy):
 
 
 def summary_of(motions: list[Motion], robots: np.ndarray, command: np.ndarray) -> dict[str, Any]:
-    """What robots did that were told one command, by name; None where all of them fell.
+    """Measures of robots that follow one command, by name; None if all of them fell.
 
     Args:
-        motions: at each control step. robots: rows that count. command: the twist, [3].
+        motions: motion of all robots at each control step.
+        robots: rows of the robots that count.
+        command: the twist, [3].
     """
-    names = ("done", "speed_error", "yaw_rate_error", "drift_m", "slip", "power", "peak_torque")
     if not len(robots):
-        return dict.fromkeys(names)
-    twist = np.stack([motion.twist[robots] for motion in motions])
-    done = twist.mean(axis=0)
+        return dict.fromkeys(_MEASURES)
+    # Errors are of each robot's mean twist, [N, 3]: a gait sways around it.
+    done = _over_time(motions, "twist", robots).mean(axis=0)
     error = np.abs(done - command)
-    values = {
+    return {
         "done": done.mean(axis=0),
         "speed_error": np.linalg.norm((done - command)[:, :2], axis=1).mean(),
         "yaw_rate_error": error[:, 2].mean(),
-        "drift_m": drift(np.stack([motion.position[robots] for motion in motions]), command),
-        "slip": np.mean([motion.slip[robots] for motion in motions]),
-        "power": np.mean([motion.power[robots] for motion in motions]),
-        "peak_torque": np.max([motion.torque[robots] for motion in motions]),
+        "drift_m": drift(_over_time(motions, "position", robots), command),
+        "slip": _over_time(motions, "slip", robots).mean(),
+        "power": _over_time(motions, "power", robots).mean(),
+        "peak_torque": _over_time(motions, "torque", robots).max(),
     }
-    return {name: values[name] for name in names}
+
+
+def _over_time(motions: list[Motion], name: str, robots: np.ndarray) -> np.ndarray:
+    """A quantity of some robots at all control steps, [T, n, ...]."""
+    return np.stack([getattr(motion, name)[robots] for motion in motions])
 
 
 def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
-    """Mean distance by which robots leave their straight way, m in LONG_WAY m.
+    """Mean distance by which robots leave their straight way, m in 5 m.
 
     Args:
-        positions: [T, N, 2] m, in the frame in which each robot started, x behind it.
-        command: the twist, [3]; None is returned for one that turns or stands, and where robots
-            did not walk.
+        positions: [T, N, 2] m, in a frame at each robot's start, x along the commanded heading.
+        command: the twist, [3].
+
+    Returns:
+        The drift; None for a twist that turns or stands, and for robots that did not walk.
     """
     way = np.linalg.norm(command[:2])
     if command[2] != 0.0 or way == 0.0:
         return None
+    # Unit vectors along the commanded way and to its left.
     ahead = command[:2] / way
     aside = np.array((-ahead[1], ahead[0]))
     walked = positions[-1] - positions[0]
     distance = walked @ ahead
-    if distance.min() < SHORTEST_WAY:
+    if distance.min() < _SHORTEST_WALK:
         return None
-    return float(np.mean(np.abs(walked @ aside) / distance) * LONG_WAY)
+    return float(np.mean(np.abs(walked @ aside) / distance) * _DRIFT_DISTANCE)
 
 
 def asked_and_done(runs: list[dict[str, Any]], modes: tuple[str, ...]) -> Figure:
-    """Velocities and turn rates that were asked for, as rings, and done, as dots."""
+    """Figure of the velocities and turn rates asked for, as rings, and done, as dots."""
     figure, (plane, turns) = plt.subplots(1, 2, figsize=(9, 4.2))
     for mode in modes:
-        mine = [run for run in runs if run["mode"] == mode and run["done"] is not None]
+        mine = [run for run in select(runs, mode=mode) if run["done"] is not None]
         if not mine:
             continue
-        asked = np.array([run["command"] for run in mine])
-        done = np.array([run["done"] for run in mine])
+        asked = np.array(column(mine, "command"))
+        done = np.array(column(mine, "done"))
         look = {"color": figures.MODE_COLOURS[mode], "zorder": 3}
         plane.plot(done[:, 1], done[:, 0], "o", label=mode, **look)
         turns.plot(asked[:, 2], done[:, 2], "o", **look)
         for start, end in zip(asked, done, strict=True):
             plane.plot((start[1], end[1]), (start[0], end[0]), color=figures.FAINT, linewidth=1)
-    asked = np.array(COMMANDS)
+    # The commands are the same in all modes.
+    asked = np.array(TWISTS)
     ring = {"markerfacecolor": "none", "color": figures.INK, "markersize": 10, "linestyle": ""}
     plane.plot(asked[:, 1], asked[:, 0], "o", label="asked for", **ring)
     plane.invert_xaxis()

@@ -1,4 +1,4 @@
-"""Findings of the study of single faults: claims, harmful settings, faults that go unnoticed.
+"""Findings of the study of single faults: claims, harmful settings and missed faults.
 
 A walk over obstacles is chaotic: twins diverge by chance, in both directions. Falls under a fault
 are therefore compared with those of the same robots without it by Fisher's exact test (1922).
@@ -10,38 +10,42 @@ import numpy as np
 import scipy
 
 from renet.evaluation.figures import setting_label
-from renet.evaluation.results import grouped
+from renet.evaluation.results import column, group_by, select
 from renet.evaluation.studies.fault_settings import Setting
 from renet.terrain.tiles import DIFFICULT
 
 Runs = list[dict[str, Any]]
-CHANCE = 0.05
-"""Probability below which a difference is not put down to chance."""
-MARGIN = 0.02
-"""Survival in mode memory may be this much below blind's before a setting is listed as harmful."""
-SEVERE = 3
+"""Rows of a summary."""
+_SIGNIFICANCE = 0.05
+"""Probability below which a difference is called significant."""
+_SURVIVAL_MARGIN = 0.02
+"""Difference in survival from mode blind to mode memory from which on a setting is harmful."""
+_SEVERE = 3
 """Severity from which a fault that makes robots in mode camera fall must be noticed."""
 BLIND = {"frozen": ("frozen",), "uniform": ("blackout", "saturated", "occlusion")}
-"""Faults whose severity 5 repeats one image, or leaves one value in the whole image."""
+"""Faults that at severity 5 repeat one image, or leave one value in the whole image."""
 
 
 def setting_of(run: dict[str, Any]) -> Setting:
-    """The setting of a row."""
-    return Setting(*(run[name] for name in Setting._fields))
+    """Setting of a row."""
+    return Setting(run["ground"], run["onset"], run["fault"], run["severity"])
 
 
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
-    """`harmful`, `missed` and `claims` of a summary, from `runs`, `baseline` and `healthy`.
+    """Findings of a summary: `harmful` and `missed` settings, and `claims`.
 
-    A claim is a row: `claim`, whether it is `met`, and what was `measured`.
+    A claim is a row with its text in `claim`, `met`, a bool, and the numbers in `measured`.
 
     Args:
-        runs: with their pairs, see `fault_metrics`. baseline: the same grounds without faults.
+        runs: rows with their pairs, see `fault_metrics`.
+        baseline: rows of the same grounds without faults.
         healthy: false switches and robot hours.
     """
-    harm, misses = harmful(runs, baseline), missed(runs, baseline)
-    simple = [h for h in harm if h["ground"] not in DIFFICULT]
-    severe = [miss for miss in misses if miss["severity"] >= SEVERE]
+    harm = harmful(runs, baseline)
+    misses = missed(runs, baseline)
+    simple = [row for row in harm if row["ground"] not in DIFFICULT]
+    severe = [miss for miss in misses if miss["severity"] >= _SEVERE]
+    # The first claim is on simple ground only.
     claims = [
         _chance_claim(
             "on simple ground no fault makes memory fall more often than blind, beyond chance",
@@ -49,7 +53,7 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
             "settings below",
         ),
         _chance_claim(
-            f"no fault of severity >= {SEVERE} that makes camera fall goes unnoticed",
+            f"no fault of severity >= {_SEVERE} that makes camera fall goes unnoticed",
             severe,
             "settings not noticed by every robot",
         ),
@@ -61,91 +65,111 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
 
 
 def harmful(runs: Runs, baseline: Runs) -> Runs:
-    """Settings in which robots survive less often in mode memory than blind, beyond the margin.
+    """Settings in which robots survive less often in mode memory than in mode blind.
 
-    Chance is judged fault by fault on each ground, all severities and onsets together.
+    Significance is that of a fault on a ground, over all its severities and onsets.
     """
-    survival = {setting_of(r): r["survival"] for r in runs if r["mode"] == "blind"}
+    survival = {setting_of(run): run["survival"] for run in select(runs, mode="blind")}
     worse = _beyond_chance(runs, baseline, "memory", "blind")
-    return [
-        setting_of(r)._asdict()
-        | {
-            "memory": r["survival"],
-            "blind": survival[setting_of(r)],
-            "over_op_ci95": [r["over_op_ci95_low"], r["over_op_ci95_high"]],
-            "beyond_chance": (r["ground"], r["fault"]) in worse,
+    rows = []
+    for run in select(runs, mode="memory"):
+        if run["over_op"] is None or run["over_op"] >= -_SURVIVAL_MARGIN:
+            continue
+        setting = setting_of(run)
+        row = {
+            "memory": run["survival"],
+            "blind": survival[setting],
+            "over_op_ci95": [run["over_op_ci95_low"], run["over_op_ci95_high"]],
+            "beyond_chance": (run["ground"], run["fault"]) in worse,
         }
-        for r in runs
-        if r["mode"] == "memory" and r["over_op"] is not None and r["over_op"] < -MARGIN
-    ]
+        rows.append(setting._asdict() | row)
+    return rows
 
 
 def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, Any]]:
-    """Rows of mode camera, by setting, of the settings with more falls than its healthy twins have.
+    """Rows of mode camera, by setting, in which more robots fall than of their healthy twins.
 
-    `beyond_chance` is judged from all of a fault's severe settings on the ground together (of its
-    mild ones where it has no severe ones).
+    `beyond_chance` is that of all severe settings of a fault on the ground, or of its mild ones if
+    it has no severe ones.
     """
-    severe = [r for r in runs if r["severity"] >= SEVERE]
-    mild = {r["fault"] for r in runs} - {r["fault"] for r in severe}
-    judged = severe + [r for r in runs if r["fault"] in mild]
+    severe = [run for run in runs if run["severity"] >= _SEVERE]
+    mild = set(column(runs, "fault")) - set(column(severe, "fault"))
+    judged = severe + [run for run in runs if run["fault"] in mild]
     worse = _beyond_chance(judged, baseline, "camera", "camera")
-    return {
-        setting_of(r): r | {"beyond_chance": (r["ground"], r["fault"]) in worse}
-        for r in runs
-        if r["mode"] == "camera" and r["falls_by_fault"] > r["falls_spared"]
-    }
+    rows = {}
+    for run in select(runs, mode="camera"):
+        if run["falls_by_fault"] > run["falls_spared"]:
+            beyond_chance = (run["ground"], run["fault"]) in worse
+            rows[setting_of(run)] = run | {"beyond_chance": beyond_chance}
+    return rows
 
 
 def missed(runs: Runs, baseline: Runs) -> Runs:
-    """Faults that make mode camera fall and that not every robot in mode memory notices."""
-    vp_rows = settings_vp_falls_in(runs, baseline)
-    return [
-        setting_of(r)._asdict()
-        | {
-            "undetected": r["vision_active_at_onset"] - r["detected"],
-            "vp_falls": vp["falls_by_fault"],
-            "vp_spared": vp["falls_spared"],
-            "beyond_chance": vp["beyond_chance"],
+    """Settings that make mode camera fall and that not every robot in mode memory notices."""
+    camera_rows = settings_vp_falls_in(runs, baseline)
+    rows = []
+    for run in select(runs, mode="memory"):
+        if run["detected"] >= run["vision_active_at_onset"]:
+            continue
+        setting = setting_of(run)
+        camera = camera_rows.get(setting)
+        if camera is None:
+            continue
+        row = {
+            "undetected": run["vision_active_at_onset"] - run["detected"],
+            "vp_falls": camera["falls_by_fault"],
+            "vp_spared": camera["falls_spared"],
+            "beyond_chance": camera["beyond_chance"],
         }
-        for r in runs
-        if r["mode"] == "memory" and r["detected"] < r["vision_active_at_onset"]
-        if (vp := vp_rows.get(setting_of(r)))
-    ]
+        rows.append(setting._asdict() | row)
+    return rows
 
 
 def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set[tuple[Any, ...]]:
-    """Grounds and faults under which `mode` falls more, beyond chance, than `reference` without."""
+    """Grounds and faults under which a mode falls significantly more than a mode without faults.
 
-    def count(rows: Runs) -> tuple[int, int]:
-        falls = sum(row["falls"] for row in rows)
-        return falls, sum(row["robots"] for row in rows) - falls
+    Args:
+        runs: rows under faults.
+        baseline: rows without faults.
+        mode: mode under faults.
+        reference: mode without faults.
+    """
+    usual = group_by(select(baseline, mode=reference), "ground")
+    groups = group_by(select(runs, mode=mode), "ground", "fault")
+    worse = set()
+    for place, rows in groups.items():
+        ground = place[:1]
+        if ground not in usual:
+            continue
+        # Fallen and upright robots with the fault, and without.
+        table = [_fall_counts(rows), _fall_counts(usual[ground])]
+        if scipy.stats.fisher_exact(table, "greater").pvalue < _SIGNIFICANCE:
+            worse.add(place)
+    return worse
 
-    usual = {r["ground"]: [r] for r in baseline if r["mode"] == reference}
-    groups = grouped([r for r in runs if r["mode"] == mode], "ground", "fault")
-    tables = {
-        place: [count(rows), count(usual[place[0]])]
-        for place, rows in groups.items()
-        if place[0] in usual
-    }
-    return {p for p, t in tables.items() if scipy.stats.fisher_exact(t, "greater").pvalue < CHANCE}
+
+def _fall_counts(rows: Runs) -> tuple[int, int]:
+    """Number of robots that fell, and that did not."""
+    falls = sum(column(rows, "falls"))
+    return falls, sum(column(rows, "robots")) - falls
 
 
 def _chance_claim(claim: str, settings: Runs, what: str) -> dict[str, Any]:
-    """The claim that chance explains all settings: how many it cannot, and which it can."""
-    clear = [setting_label(s) for s in settings if s["beyond_chance"]]
-    unclear = [setting_label(s) for s in settings if not s["beyond_chance"]]
-    named = ": " + ", ".join(clear) if clear else ""
-    aside = f" ({', '.join(unclear)} within chance)" if unclear else ""
-    measured = f"{len(clear)} {what}{named}{aside}"
+    """Claim that chance explains all settings; it names those beyond chance and the others."""
+    clear = list(map(setting_label, select(settings, beyond_chance=True)))
+    unclear = list(map(setting_label, select(settings, beyond_chance=False)))
+    beyond = ": " + ", ".join(clear) if clear else ""
+    within = f" ({', '.join(unclear)} within chance)" if unclear else ""
+    measured = f"{len(clear)} {what}{beyond}{within}"
     return {"claim": claim, "met": not clear, "measured": measured}
 
 
 def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
-    """Nothing is said of healthy hours where there are none."""
+    """Claim on false switches in healthy hours; none if there are no such hours."""
     if not healthy["robot_hours"]:
         return []
-    rate, limit = healthy["false_switches_per_hour"], healthy["upper_95_per_hour"]
+    rate = healthy["false_switches_per_hour"]
+    limit = healthy["upper_95_per_hour"]
     measured = (
         f"{rate:.2f} ({healthy['false_switches']} in {healthy['robot_hours']:.2f} robot hours;"
         f" 95 % limit {limit:.2f})"
@@ -155,19 +179,22 @@ def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
 
 
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
-    """Median of severe settings' median delays where mode camera falls; empty if it never does."""
-    vp = settings_vp_falls_in(runs, baseline)
-    where = [
-        r
-        for r in runs
-        if r["mode"] == "memory" and r["detection_delay_s"] is not None and r["severity"] >= SEVERE
-        if setting_of(r) in vp and vp[setting_of(r)]["beyond_chance"]
-    ]
-    if not where:
+    """Claim on the median delay of severe faults that make mode camera fall; none without any."""
+    camera_rows = settings_vp_falls_in(runs, baseline)
+    harmful_runs = []
+    for run in select(runs, mode="memory"):
+        if run["detection_delay_s"] is None or run["severity"] < _SEVERE:
+            continue
+        camera = camera_rows.get(setting_of(run))
+        if camera is not None and camera["beyond_chance"]:
+            harmful_runs.append(run)
+    if not harmful_runs:
         return []
-    delay = float(np.median([r["detection_delay_s"] for r in where]))
-    worst = max(where, key=lambda r: r["detection_delay_p95_s"])
-    claim = f"median detection within 0.2 s of faults of severity >= {SEVERE} that make camera fall"
+    delay = float(np.median(column(harmful_runs, "detection_delay_s")))
+    worst = max(harmful_runs, key=lambda run: run["detection_delay_p95_s"])
+    claim = (
+        f"median detection within 0.2 s of faults of severity >= {_SEVERE} that make camera fall"
+    )
     measured = (
         f"{delay:.3f} s; worst 95th percentile {worst['detection_delay_p95_s']:.2f} s"
         f" ({setting_label(worst)})"
@@ -176,14 +203,15 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
 
 
 def _blind_claims(runs: Runs) -> Runs:
-    """Frozen and uniform images: noticed by the monitors, and by the rule of mode switch."""
-    worst = [run for run in runs if run["mode"] == "memory" and run["severity"] == 5]
+    """Claims that monitors notice frozen and uniform images, beside the rule of mode switch."""
+    # Severity 5 repeats one image, or leaves one value in it.
+    worst = select(runs, mode="memory", severity=5)
     claims = []
     for what, faults in BLIND.items():
-        names = ("vision_active_at_onset", "detected", "detected_by_paper")
-        robots, detected, paper = (
-            sum(run[name] for run in worst if run["fault"] in faults) for name in names
-        )
+        rows = [run for run in worst if run["fault"] in faults]
+        robots = sum(column(rows, "vision_active_at_onset"))
+        detected = sum(column(rows, "detected"))
+        paper = sum(column(rows, "detected_by_paper"))
         if robots:
             measured = f"{detected} of {robots} robots; by the rule of mode switch {paper}"
             claim = f"{what} images are noticed"

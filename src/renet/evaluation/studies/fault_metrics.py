@@ -1,7 +1,7 @@
 """Measures of the study of single faults, of each robot and setting, with intervals and pairs.
 
 Robots fall over obstacles with healthy cameras, too. Each robot of a fault's batch therefore has a
-twin without the fault: same mode, body, start, camera and noise, bit for bit alike until the onset.
+twin without the fault: same mode, body, start, camera and noise, bit for bit equal until the onset.
 Differences are taken between twins, robot by robot.
 """
 
@@ -12,39 +12,44 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation import metrics
-from renet.evaluation.results import grouped
+from renet.evaluation.results import group_by
 from renet.evaluation.studies.fault_settings import Setting
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.terrain.tiles import TILE
 
-SHARES = ("crossed", "upright")
-TRAVELLED = 0.2
-"""m from the onset on; below it energy per metre is not computed."""
+_SHARES = ("crossed", "upright")
+"""Measures that are 0 or 1 for each robot."""
+_SHORTEST_WALK = 0.2
+"""Distance from the onset on below which energy per metre is not computed, m."""
 Values = Mapping[str, Any]
-"""A number for each robot, [N], by measure; NaN or None where it was not taken."""
+"""Number for each robot, [N], by measure; NaN or None where it was not measured."""
 
 
 def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict[str, np.ndarray]:
-    """Every measure of each robot, [N].
+    """Measures of each robot, [N] each, by name.
 
     Args:
-        trace: of the run. onset: control step from which on they count.
-        command: commanded speed, m/s. steps: of the longest run, whose rest a fallen robot lies.
+        trace: trace of the run.
+        onset: control step from which on robots are measured.
+        command: commanded speed, m/s.
+        steps: length of the longest run; a fallen robot counts as lying until then.
     """
     crossed, fell, seconds = trace.first_try()
     # On endless ground, or towards a tile's corner, half a tile's width counts as crossed.
     crossed = crossed | (np.isnan(seconds) & (trace.travelled.max(axis=0) >= TILE / 2))
+    # [T, N] bool: steps from the onset on in which the first try goes on.
     since = np.arange(len(trace.ended))[:, None] >= onset
     walking = since & ~trace.over
     walked = walking.sum(axis=0)
     lying = np.where(fell, steps - onset - walked, 0)
     error = (np.abs(trace.forward_velocity - command) * walking).sum(0) + command * lying
+    # Distance from the onset to the last step of the first try.
     last = (~trace.over).sum(axis=0) - 1
     robots = np.arange(len(last))
     distance = trace.travelled[last, robots] - trace.travelled[onset - 1, robots]
-    distance = np.where((walked > 0) & (distance >= TRAVELLED), distance, np.nan)
+    distance = np.where((walked > 0) & (distance >= _SHORTEST_WALK), distance, np.nan)
     changed = np.diff(trace.vision, axis=0, prepend=trace.vision[:1])
     with np.errstate(invalid="ignore"):
         return {
@@ -59,18 +64,19 @@ def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict
 
 
 def estimates(values: Values, twins: Values) -> dict[str, dict[str, Any]]:
-    """Each measure's mean over the robots and its mean change from their twins, with intervals."""
+    """Mean of each measure over robots, and its mean change from their twins, with intervals."""
     rows = {}
     for name in values:
-        faulty, healthy = (np.array(part[name], float) for part in (values, twins))
-        interval = metrics.share_interval if name in SHARES else metrics.bootstrap_interval
+        faulty = np.array(values[name], float)
+        healthy = np.array(twins[name], float)
+        interval = metrics.share_interval if name in _SHARES else metrics.bootstrap_interval
         change = _mean(faulty - healthy, metrics.bootstrap_interval)
         rows[name] = _mean(faulty, interval) | {"change": change}
     return rows
 
 
 def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
-    """Mean and interval of the values there are; None where there are none."""
+    """Mean and interval of the values that are not NaN; None if all are."""
     values = values[~np.isnan(values)]
     if not len(values):
         return {"value": None, "ci95": None}
@@ -78,27 +84,32 @@ def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
 
 
 def by_robot(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, np.ndarray]]]:
-    """Each robot's mean over the settings, [N], by mode, ground and share.
+    """Mean of each robot over the settings, [N], by mode, ground and share.
 
-    The same robots stand in all settings: an interval of a mean over settings is one over robots.
+    The same robots are in all settings, so that an interval of a mean over settings is one over
+    robots.
     """
     means: dict[str, dict[str, dict[str, np.ndarray]]] = {}
-    for (mode, ground), rows in grouped(runs, "mode", "ground").items():
-        means.setdefault(mode, {})[ground] = {
-            name: np.mean([row["values"][name] for row in rows], axis=0) for name in SHARES
-        }
+    for (mode, ground), rows in group_by(runs, "mode", "ground").items():
+        shares = {}
+        for name in _SHARES:
+            shares[name] = np.mean([row["values"][name] for row in rows], axis=0)
+        means.setdefault(mode, {})[ground] = shares
     return means
 
 
 def pair_counts(values: Values, twins: Values) -> dict[str, int]:
-    """Robots that fell while their twins did not, and the other way round."""
-    fell, calm = (1 - np.array(part["upright"], float) > 0 for part in (values, twins))
-    by_fault, spared = int((fell & ~calm).sum()), int((calm & ~fell).sum())
-    return {"falls_by_fault": by_fault, "falls_spared": spared}
+    """Number of robots that fell while their twins did not, and the other way round."""
+    fell = 1 - np.array(values["upright"], float) > 0
+    twin_fell = 1 - np.array(twins["upright"], float) > 0
+    return {
+        "falls_by_fault": int((fell & ~twin_fell).sum()),
+        "falls_spared": int((twin_fell & ~fell).sum()),
+    }
 
 
 def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
-    """Gain in survival of robots in mode memory over the same robots blind; None without these."""
+    """Gain in survival of mode memory over mode blind, by robot; None without mode blind."""
     if op is None:
         return dict.fromkeys(("over_op", "over_op_ci95_low", "over_op_ci95_high"))
     gain = np.array(values["upright"], float) - np.array(op["upright"], float)
@@ -106,7 +117,7 @@ def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
 
 
 def end_of(setting: Setting, over: int) -> int:
-    """The control step at which a fault is over: by itself, or because the study ends it."""
+    """Control step at which a fault is over, by itself or because the study ends it at `over`."""
     lasts = fault_class(setting.fault).lasts(setting.level)
     return over if np.isinf(lasts) else min(over, setting.step + round(lasts / CONTROL_DT))
 
@@ -114,9 +125,11 @@ def end_of(setting: Setting, over: int) -> int:
 def survival(trace: Trace, until: int) -> dict[str, Any]:
     """Falls, and the mean speed over the 3 s before control step `until`, with intervals.
 
-    A fallen robot counts with zero, one that has left its tile until then.
+    A fallen robot counts with a speed of zero; one that has left its tile counts until then.
     """
-    upright, last = ~trace.fallen[-1], slice(max(until - round(3.0 / CONTROL_DT), 0), until)
+    upright = ~trace.fallen[-1]
+    last = slice(max(until - round(3.0 / CONTROL_DT), 0), until)
+    # [steps, N] bool: steps that count.
     counted = (~trace.over | trace.fallen)[last]
     walked = counted.any(axis=0)
     speed = trace.speed[last][:, walked].mean(axis=0, where=counted[:, walked])
@@ -131,21 +144,26 @@ def survival(trace: Trace, until: int) -> dict[str, Any]:
 
 
 def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str, Any]:
-    """Who noticed the fault, who saw again after it, and how soon.
+    """Counts and delays of robots that notice a fault, and that see again after it.
 
-    Who notices ceases to see: its images are withheld, or OP takes over. A fault that is noticed
-    only after it is over, or after the robot fell, was missed; one that comes while a robot does
-    not see can be neither noticed nor missed: `vision_active_at_onset` counts those who see.
+    A robot that notices the fault stops seeing: its images are withheld, or OP takes over. A fault
+    that is noticed only after its end, or after the robot's fall, is missed. A robot that does not
+    see at the onset can neither notice nor miss the fault; `vision_active_at_onset` counts those
+    that see.
 
     Args:
-        trace: of robots under one fault. paper: [T, U, N] bool, the paper's selector trusts vision.
-        onset: control step at which the fault begins. end: the one at which it is over.
+        trace: trace of robots under one fault.
+        paper: [T, U, N] bool, the paper's selector trusts vision.
+        onset: control step at which the fault begins.
+        end: control step at which it is over.
     """
-    sees, over = trace.sees, trace.over
-    # A last image from before the end is judged until the next tick.
+    sees = trace.sees
+    over = trace.over
+    # The last image from before the end is judged until the next tick.
     until = end + STEPS_PER_TICK
     delay = departure(sees, over, onset, until)
     active = sees[onset - 1, -1] & ~over[onset - 1]
+    # The paper's selector is compared on the robots that can notice the fault.
     by_paper = np.where(active, departure(paper, over, onset, until), np.nan)
     back = departure(~sees, over, end)
     return {
@@ -166,17 +184,20 @@ def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str,
 def departure(
     trusted: np.ndarray, gone: np.ndarray, start: int, end: int | None = None
 ) -> np.ndarray:
-    """Seconds from a control step until the selector first stops trusting vision.
+    """Time from a control step until the selector first stops trusting vision.
 
-    Of `~trusted` it is the delay of the return to vision. A robot that starts anew after a fall
-    trusts vision, which is no return.
+    For `~trusted` it is the delay of the return to vision. A robot that is put back at its start
+    after a fall trusts vision, which is no return.
 
     Args:
-        trusted: [T, U, N] bool. gone: [T, N] bool, fallen or across.
-        start: control step. end: the one from which on departures do not count.
+        trusted: [T, U, N] bool, vision is trusted.
+        gone: [T, N] bool, the first try is over.
+        start: control step from which on time counts.
+        end: control step from which on departures do not count.
 
     Returns:
-        [N]; NaN where it had left vision before `start`, or has not when it is gone or at `end`.
+        [N] s; NaN where vision was not trusted before `start`, or is still trusted at `end` or at
+        the end of the first try.
     """
     if start >= len(trusted):
         return np.full(trusted.shape[-1], np.nan)
@@ -186,6 +207,6 @@ def departure(
 
 
 def _quantile(values: np.ndarray, share: float) -> float | None:
-    """A quantile of the values [N] there are; None where there are none."""
+    """Quantile of the values [N] that are not NaN; None if all are."""
     values = values[~np.isnan(values)]
     return float(np.quantile(values, share)) if len(values) else None

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from renet.faults import Injection, fault_class
 from renet.interface import CONTROL_DT, Terrain
 
-GROUNDS: dict[Terrain, int] = {
+FAULT_GROUNDS: dict[Terrain, int] = {
     "flat": 1,
     "stairs_up": 6,
     "stairs_down": 10,
@@ -15,7 +15,7 @@ GROUNDS: dict[Terrain, int] = {
 }
 """Grounds and their levels, 1 to 10."""
 ONSETS = {0.5: "on_the_way", 1.5: "before_the_edge"}
-"""Names of the seconds at which faults begin."""
+"""Names of the times at which faults begin, s."""
 LISTED = (
     "gaussian",
     "salt_and_pepper",
@@ -47,15 +47,15 @@ LISTED = (
     "intermittent_frozen",
     "intermittent_glare",
 )
-"""Faults that are studied by default. The catalogue has more."""
+"""Faults that are studied by default; `renet.faults.FAULTS` has more."""
 
 
 class Setting(NamedTuple):
-    """What happens to a group of robots."""
+    """Ground and fault of a group of robots."""
 
     ground: str
     onset: float
-    """Seconds."""
+    """Time at which the fault begins, s."""
     fault: str
     severity: int
 
@@ -70,5 +70,5 @@ class Setting(NamedTuple):
         return fault_class(self.fault).level_of(self.severity)
 
     def injection(self, seconds: float) -> Injection:
-        """The fault, over after some seconds at the latest."""
+        """The fault's injection, which lasts `seconds` at most."""
         return Injection.of(self.fault, self.severity, self.step, seconds)

@@ -1,14 +1,14 @@
-"""The memory study: how many robots cross, against the seconds for which they get no image.
+"""The memory study: robots that cross, against the time for which they get no image.
 
-The camera goes black half a second before an obstacle's edge, for a moment or for good. A robot
-that trusts it, one with the paper's switch, one that remembers, a blind one and one whose switch
-knows the fault are twins in all else. Judged by true poses, in one try.
+The camera goes black half a second before an obstacle's edge, for a moment or for good. The robots
+of all modes are twins. They have one try, judged by true poses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -16,10 +16,10 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
-from renet.evaluation.rollout import Mode, Trial
+from renet.evaluation.results import column, group_by
+from renet.evaluation.rollout import StudyMode, Trial
 from renet.evaluation.studies.one_try import NEAREST, LevelStudy
-from renet.evaluation.studies.terrain import SIZES
+from renet.evaluation.studies.terrain import SIZE_LABELS
 from renet.evaluation.study import Figures, Part, Table
 from renet.faults import Injection
 from renet.interface import CONTROL_DT
@@ -28,13 +28,13 @@ from renet.terrain.tiles import LEVELS, tiles
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
-DEAD = "blackout", 5
-"""The fault, and its severity."""
+DEAD_CAMERA = ("blackout", 5)
+"""Fault and severity."""
 
 
 @dataclass(frozen=True)
 class MemoryStudy(LevelStudy):
-    """How long a robot finds its way without an image."""
+    """Measure the time for which robots find their way without an image."""
 
     out: Path = Path("results/memory")
     """Folder for summary.md, summary.json, summary.csv, memory.png and parts/."""
@@ -50,10 +50,10 @@ class MemoryStudy(LevelStudy):
     )
     """Ground and level, KIND:LEVEL, such as gap:3; levels are 1 to 10."""
     without: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0)
-    """Seconds without an image; robots with a healthy camera walk as well."""
+    """Times without an image, s; robots with a healthy camera walk as well."""
     before: float = 0.5
-    """Seconds before the edge, at the commanded speed, at which images cease."""
-    modes: tuple[Mode, ...] = ("camera", "switch", "oracle", "blind", "memory")
+    """Time before the edge, at the commanded speed, at which images cease, s."""
+    modes: tuple[StudyMode, ...] = ("camera", "switch", "oracle", "blind", "memory")
     """Policy modes to compare."""
 
     name: ClassVar[str] = "memory"
@@ -74,77 +74,79 @@ class MemoryStudy(LevelStudy):
 
     @property
     def settings(self) -> list[tuple[float, str]]:
-        """Seconds without an image and mode of each group; to blind robots no image is missing."""
-        return [
-            (seconds, mode)
-            for mode in self.modes
-            for seconds in (0.0, *(self.without if mode != "blind" else ()))
-        ]
+        """Time without an image and mode of each group; mode blind never misses an image."""
+        settings = []
+        for mode in self.modes:
+            settings.append((0.0, mode))
+            if mode != "blind":
+                settings += product(self.without, (mode,))
+        return settings
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
-        """All modes and times on one ground, side by side."""
-        trials = [
-            Trial(mode, (Injection.of(*DEAD, self.onset, seconds),) if seconds else (), robot, kind)
-            for seconds, mode in self.settings
-            for robot in range(self.robots_each)
-        ]
+        """Walk in all modes and times on one ground, side by side."""
+        trials = []
+        for seconds, mode in self.settings:
+            schedule = (Injection.of(*DEAD_CAMERA, self.onset, seconds),) if seconds else ()
+            trials += [Trial(mode, schedule, robot, kind) for robot in range(self.robots_each)]
         trace = self.walk(evaluator, {kind: level}, trials, title, until_ended=self.onset)
         crossed, fell, _ = trace.first_try()
         shape = (len(self.settings), self.robots_each)
         return {"crossed": crossed.reshape(shape), "fell": fell.reshape(shape)}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """One row for each ground, mode and time; what the missing images cost."""
+        """One row for each ground, mode and time, with the change from a healthy camera."""
         runs = []
         for ground, part in self.by_ground(parts).items():
             kind, level = ground.split(":")
-            crossed, fell = (
-                dict(zip(self.settings, np.array(part[name], bool), strict=True))
-                for name in ("crossed", "fell")
-            )
-            for (seconds, mode), shares in crossed.items():
-                # The same robots with a healthy camera: what the missing images cost each.
-                change = shares.astype(float) - crossed[0.0, mode]
-                runs.append(
-                    {
-                        "ground": kind,
-                        "level": int(level),
-                        "size_m": tiles()[kind].measure((int(level) - 1) / (LEVELS - 1)),
-                        "mode": mode,
-                        "without_s": seconds,
-                        "robots": len(shares),
-                        "crossed": int(shares.sum()),
-                        "fell": int(fell[seconds, mode].sum()),
-                        "crossed_rate": float(shares.mean()),
-                        **metrics.with_share_interval("crossed", shares),
-                        "change": float(change.mean()),
-                        **metrics.with_interval("change", change),
-                        "seed": self.seed,
-                    }
-                )
+            size = tiles()[kind].measure((int(level) - 1) / (LEVELS - 1))
+            crossed = dict(zip(self.settings, np.array(part["crossed"], bool), strict=True))
+            fell = dict(zip(self.settings, np.array(part["fell"], bool), strict=True))
+            for (seconds, mode), successes in crossed.items():
+                # Robots are paired with themselves with a healthy camera.
+                change = successes.astype(float) - crossed[0.0, mode]
+                run = {
+                    "ground": kind,
+                    "level": int(level),
+                    "size_m": size,
+                    "mode": mode,
+                    "without_s": seconds,
+                    "robots": len(successes),
+                    "crossed": int(successes.sum()),
+                    "fell": int(fell[seconds, mode].sum()),
+                    "crossed_rate": float(successes.mean()),
+                    **metrics.with_share_interval("crossed", successes),
+                    "change": float(change.mean()),
+                    **metrics.with_interval("change", change),
+                    "seed": self.seed,
+                }
+                runs.append(run)
         return {"runs": runs, "robots": self.robots_each, "onset_s": self.onset * CONTROL_DT}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """memory.png: the share that crosses against the time, one panel for each ground."""
-        times = [0.0, *(round(seconds, 6) for seconds in sorted(self.without))]
-        panels = {
-            f"{SIZES[kind]} {100 * size:.0f} cm": [
-                run | {"without_s": time}
-                for run in sorted(runs, key=lambda run: run["without_s"])
-                # Mode blind, which never sees, has one share at all times.
-                for time in (times if run["mode"] == "blind" else [run["without_s"]])
-            ]
-            for (kind, size), runs in grouped(summary["runs"], "ground", "size_m").items()
-        }
-        tick, xlabel = lambda run: f"{run['without_s']:g}", "seconds without an image"
-        return {"memory.png": figures.share_panels(panels, "crossed", tick, xlabel)}
+        """Figure memory.png: share that crosses against the time, one panel for each ground."""
+        times = [0.0] + [round(seconds, 6) for seconds in sorted(self.without)]
+        panels = {}
+        for (kind, size), runs in group_by(summary["runs"], "ground", "size_m").items():
+            rows = []
+            for run in sorted(runs, key=lambda run: run["without_s"]):
+                if run["mode"] == "blind":
+                    # Mode blind uses no image: its share is that of all times.
+                    rows += [run | {"without_s": time} for time in times]
+                else:
+                    rows.append(run)
+            panels[f"{SIZE_LABELS[kind]} {100 * size:.0f} cm"] = rows
+        figure = figures.share_panels(
+            panels, "crossed", lambda run: f"{run['without_s']:g}", "seconds without an image"
+        )
+        return {"memory.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Shares that cross, by ground and time."""
         rows = []
-        for (kind, level), runs in grouped(summary["runs"], "ground", "level").items():
+        for (kind, level), runs in group_by(summary["runs"], "ground", "level").items():
             crossed = {(run["mode"], run["without_s"]): run["crossed"] for run in runs}
-            for seconds in sorted({run["without_s"] for run in runs}):
+            for seconds in sorted(set(column(runs, "without_s"))):
+                # Mode blind was walked once, without missing images.
                 counts = (crossed.get((mode, seconds), crossed[mode, 0.0]) for mode in self.modes)
                 rows.append((f"{kind}:{level}", f"{seconds:g}", *counts))
         header = ("ground", "seconds", *self.modes)

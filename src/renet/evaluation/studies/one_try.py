@@ -1,4 +1,4 @@
-"""Studies of robots that have one try at leaving a tile, all settings of a ground side by side."""
+"""Base of studies in which robots have one try at leaving a tile, all settings side by side."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from renet.errors import RenetError
-from renet.evaluation.rollout import EvalEnv, Trial
+from renet.evaluation.rollout import EvalEnv, Trial, robot_numbers
 from renet.evaluation.study import Part, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.interface import CONTROL_DT
@@ -18,18 +18,19 @@ if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator, Task
 
 EDGES = {"gap": 1.2, "platform": 1.4, "stairs_up": 1.2, "stairs_down": 1.5}
-"""m from the middle of a tile, where robots start, to the first edge."""
+"""Distance from the middle of a tile, where robots start, to the first edge, m, by kind."""
 NEAREST = min(EDGES.values())
-AIM = 0.1
-"""Robots with one try start within this angle of straight at the obstacle, rad."""
+"""Shortest of these distances, m."""
+START_YAW = 0.1
+"""Largest angle between a robot's start and the direction of the obstacle, rad."""
 
 
 @dataclass(frozen=True)
 class OneTryStudy(WalkingStudy):
-    """Robots that walk until they have left their tile or fallen."""
+    """Base of studies whose robots walk until they have left their tile or fallen."""
 
     seconds: float = 12.0
-    """Time to leave the tile."""
+    """Time to leave the tile, s."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -49,13 +50,17 @@ class OneTryStudy(WalkingStudy):
         """Run trials, each on its ground.
 
         Args:
-            evaluator: of the policy. task: with the trials' grounds, see `Evaluator.make_env`.
-            trials: one for each robot. title: of the progress bar.
-            until_ended: control steps after which the run ends once all first tries are over.
-            retire: whether robots are simulated no more from then on.
-            view: wraps the environment, where robots are shown other images.
+            evaluator: evaluator of the policy.
+            task: task with the trials' grounds, see `Evaluator.make_env`.
+            trials: one for each robot.
+            title: title of the progress bar.
+            until_ended: number of control steps after which the run ends as soon as all first tries
+                are over.
+            retire: True to stop simulating robots whose first try is over.
+            view: wraps the environment, to show robots other images.
         """
-        env = evaluator.make_env(task, [trial.robot for trial in trials], self.speed, self.seed)
+        # Robots with the same number are twins.
+        env = evaluator.make_env(task, robot_numbers(trials), self.speed, self.seed)
         env.place_on([trial.ground for trial in trials])
         rollout = evaluator.rollout(view(env), trials, self.seed)
         steps = round(self.seconds / CONTROL_DT)
@@ -64,7 +69,7 @@ class OneTryStudy(WalkingStudy):
 
 @dataclass(frozen=True)
 class LevelStudy(OneTryStudy):
-    """Grounds that are named with their level."""
+    """Base of studies of grounds that are named with their level."""
 
     grounds: tuple[str, ...] = ()
     """Ground and level, KIND:LEVEL, such as gap:3; levels are 1 to 10."""
@@ -86,19 +91,19 @@ class LevelStudy(OneTryStudy):
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part for each ground."""
-        count = len(self.grounds)
-        return {
-            ground.replace(":", "_"): partial(
-                self.walk_on, evaluator, kind, int(level), f"{number}/{count} {ground}"
-            )
-            for number, ground in enumerate(self.grounds, start=1)
-            for kind, level in [ground.split(":")]
-        }
+        parts = {}
+        for number, ground in enumerate(self.grounds, start=1):
+            kind, level = ground.split(":")
+            title = f"{number}/{len(self.grounds)} {ground}"
+            walk = partial(self.walk_on, evaluator, kind, int(level), title)
+            # The name is that of a file, which has no colon on some systems.
+            parts[ground.replace(":", "_")] = walk
+        return parts
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
-        """The part of one ground; the title is its progress bar's."""
+        """Walk on one ground and return its part; the title is that of the progress bar."""
         raise NotImplementedError
 
     def by_ground(self, parts: Mapping[str, Part]) -> dict[str, Part]:
-        """Each ground's part."""
+        """Part of each ground, by the ground as it is written in the settings."""
         return {ground: parts[ground.replace(":", "_")] for ground in self.grounds}

@@ -1,9 +1,8 @@
-"""The memory study's preset `reach`: how far memory reaches, and what happens beyond.
+"""The memory study's preset `reach`: distance that memory reaches, and behaviour beyond it.
 
-The camera dies at some distance before a gap. Nearer ones are remembered; farther ones were never
-seen, or are forgotten. A second scene has two gaps in a row, the second of which nobody has seen
-when the camera dies. At the end of the ground that it has seen a robot walks on, slows down or
-stops.
+The camera dies at some distance before a gap. A near gap is remembered; a far one was never seen,
+or is forgotten. A second scene has two gaps in a row, the second of which is out of sight when the
+camera dies. At the end of the ground that it has seen, a robot walks on, slows down or stops.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ import numpy as np
 
 from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
-from renet.evaluation.rollout import Trial
-from renet.evaluation.studies.memory import DEAD
+from renet.evaluation.results import column, group_by, select
+from renet.evaluation.rollout import Trial, robot_numbers
+from renet.evaluation.studies.memory import DEAD_CAMERA
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
@@ -32,19 +31,19 @@ from renet.terrain.tiles import TILE, Gap, Tile
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
-COLOURS = {"healthy": "#1b9e77", "walk": "#d95f02", "slow": "#7570b3", "stop": "#1f78b4"}
-"""Of a healthy camera, and of each conduct after its death."""
-RUN_UP = 0.5
-"""Walk with a healthy camera before it dies, m."""
-PAIR_AT = 0.8
+_COLOURS = {"healthy": "#1b9e77", "walk": "#d95f02", "slow": "#7570b3", "stop": "#1f78b4"}
+"""Colour of a healthy camera, and of each conduct after the camera's death."""
+_RUN_UP = 0.5
+"""Distance walked with a healthy camera before it dies, m."""
+_PAIR_DISTANCE = 0.8
 """Distance before the first of two gaps at which the camera dies, m."""
-LAST_GROUND = 0.3
-"""Least width of the ground beyond the last gap, m."""
+_LANDING = 0.3
+"""Smallest width of the ground beyond the last gap, m."""
 
 
 @dataclass(frozen=True)
 class ReachStudy(WalkingStudy):
-    """Which gaps robots cross whose cameras die at a distance, and where they stop."""
+    """Let cameras die at a distance before gaps, and count robots that cross, fall and stop."""
 
     out: Path = Path("results/reach")
     """Folder for summary.json, summary.csv, reach.png and parts/."""
@@ -57,11 +56,11 @@ class ReachStudy(WalkingStudy):
     between: float = 1.2
     """Ground between the two, m."""
     unseen: tuple[Unseen, ...] = UNSEEN
-    """What robots do at the end of the ground that they have seen."""
+    """Conducts at the end of the ground that a robot has seen."""
     robots: int = 40
-    """Robots in each setting; with `quick` always fewer."""
+    """Number of robots in each setting; with `quick` always fewer."""
     seconds: float = 12.0
-    """Time to leave the tile."""
+    """Time to leave the tile, s."""
 
     name: ClassVar[str] = "reach"
     quick_robots: ClassVar[int] = 6
@@ -74,39 +73,39 @@ class ReachStudy(WalkingStudy):
             raise RenetError("give at least one distance in metres and one conduct in unseen")
         if not all(metres > 0.0 for metres in self.metres):
             raise RenetError(f"metres {self.metres}: give distances above 0 m")
+        # The widest tiles must fit.
         for gap in (single_gap(self.gap, max(self.metres)), self.two_gaps):
             outer = gap.island + gap.high
             if gap.ground is not None:
                 outer += gap.ground + gap.high
-            if gap.high <= 0.0 or outer + LAST_GROUND > TILE / 2:
+            if gap.high <= 0.0 or outer + _LANDING > TILE / 2:
                 raise RenetError(
                     f"gaps of {gap.high:g} m and the way to them do not fit into {TILE / 2:g} m"
                 )
 
     @property
     def two_gaps(self) -> Gap:
-        """The tile of two gaps in a row."""
-        gap = single_gap(self.pair, PAIR_AT)
-        return replace(gap, ground=self.between, landing=LAST_GROUND)
+        """Tile of two gaps in a row."""
+        gap = single_gap(self.pair, _PAIR_DISTANCE)
+        return replace(gap, ground=self.between, landing=_LANDING)
 
     @property
     def onset(self) -> int:
-        """Control step at which the camera dies, if robots walk as fast as they are told."""
-        return round(RUN_UP / self.speed / CONTROL_DT)
+        """Control step at which the camera dies, for robots that walk at the commanded speed."""
+        return round(_RUN_UP / self.speed / CONTROL_DT)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each distance, and one for the two gaps."""
-        scenes = {
-            f"gap_{metres:g}": (single_gap(self.gap, metres), metres) for metres in self.metres
-        }
-        scenes["two_gaps"] = (self.two_gaps, PAIR_AT)
-        return {
-            name: partial(self._walk, evaluator, name, gap, metres)
-            for name, (gap, metres) in scenes.items()
-        }
+        parts = {}
+        for metres in self.metres:
+            name = f"gap_{metres:g}"
+            gap = single_gap(self.gap, metres)
+            parts[name] = partial(self._walk, evaluator, name, gap, metres)
+        pair = partial(self._walk, evaluator, "two_gaps", self.two_gaps, _PAIR_DISTANCE)
+        return parts | {"two_gaps": pair}
 
     def _walk(self, evaluator: Evaluator, name: str, gap: Gap, metres: float) -> Part:
-        """Walk with each conduct at one scene, and with a healthy camera."""
+        """Walk on one tile with each conduct, and with a healthy camera."""
         from renet.tasks.parkour_env_cfg import tile_env_cfg
         from renet.tasks.terrains import UNSEEN as UNSEEN_TILES
         from renet.tasks.terrains import parkour_terrain
@@ -116,7 +115,7 @@ class ReachStudy(WalkingStudy):
         cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
         evaluator.set_conditions(cfg)
         each = self.robots_each
-        dead = (Injection.of(*DEAD, self.onset, self.seconds),)
+        dead = (Injection.of(*DEAD_CAMERA, self.onset, self.seconds),)
         # One group with a healthy camera, which no conduct changes, and one for each conduct.
         labels = ["healthy", *self.unseen]
         trials = []
@@ -126,7 +125,7 @@ class ReachStudy(WalkingStudy):
             for robot in range(each):
                 trials.append(Trial("memory", () if healthy else dead, robot))
                 conducts.append("walk" if healthy else cast(Unseen, label))
-        env = evaluator.make_env(cfg, [trial.robot for trial in trials], self.speed, self.seed)
+        env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         rollout = evaluator.rollout(env, trials, self.seed, conducts)
         trace = rollout.run(round(self.seconds / CONTROL_DT), name, retire=True)
         scene = {
@@ -134,13 +133,15 @@ class ReachStudy(WalkingStudy):
             "gap_m": gap.high,
             "metres": metres,
         }
-        groups = zip(labels, trace.groups(each), strict=True)
-        runs = [scene | {"unseen": label} | self._row(group, gap) for label, group in groups]
+        runs = []
+        for label, group in zip(labels, trace.groups(each), strict=True):
+            runs.append(scene | {"unseen": label} | self._row(group, gap))
         return {"runs": runs}
 
     def _row(self, trace: Trace, gap: Gap) -> dict[str, Any]:
-        """Ends of the first tries of one group of robots."""
+        """Row of one group of robots, with the ends of their first tries."""
         crossed, fell, _ = trace.first_try()
+        # The camera dies at a time, so robots are not exactly where the settings say.
         from_edge = gap.island - trace.travelled[self.onset]
         return {
             "measured_m": float(from_edge.mean()),
@@ -157,22 +158,31 @@ class ReachStudy(WalkingStudy):
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The rows."""
-        return {"runs": [run for part in parts.values() for run in part["runs"]]}
+        runs = []
+        for part in parts.values():
+            runs += part["runs"]
+        return {"runs": runs}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """reach.png: what crosses, and what falls, against the distance at which cameras die."""
+        """Figure reach.png: shares that cross and fall, against the distance of the death."""
         figure, axes = plt.subplots(1, 2, figsize=(7.6, 3.0), sharey=True, squeeze=False)
-        single = [run for run in summary["runs"] if run["scene"] == "gap"]
+        single = select(summary["runs"], scene="gap")
         for axis, share in zip(axes[0], ("crossed", "fell"), strict=True):
-            for number, ((conduct,), runs) in enumerate(grouped(single, "unseen").items()):
-                # Side by side, or equal shares would hide each other.
-                x = [run["measured_m"] + 0.012 * number for run in runs]
-                rate = np.array([100 * run[f"{share}_rate"] for run in runs])
-                low = np.array([100 * run[f"{share}_ci95_low"] for run in runs])
-                high = np.array([100 * run[f"{share}_ci95_high"] for run in runs])
+            for number, ((conduct,), runs) in enumerate(group_by(single, "unseen").items()):
+                # Conducts are side by side, or equal shares would hide each other.
+                x = np.array(column(runs, "measured_m")) + 0.012 * number
+                rate = 100 * np.array(column(runs, f"{share}_rate"))
+                low = 100 * np.array(column(runs, f"{share}_ci95_low"))
+                high = 100 * np.array(column(runs, f"{share}_ci95_high"))
                 interval = np.stack((rate - low, high - rate)).clip(min=0.0)
                 axis.errorbar(
-                    x, rate, interval, fmt="o-", color=COLOURS[conduct], label=conduct, markersize=4
+                    x,
+                    rate,
+                    interval,
+                    fmt="o-",
+                    color=_COLOURS[conduct],
+                    label=conduct,
+                    markersize=4,
                 )
             axis.set_title(f"{share}, gap of {100 * self.gap:.0f} cm", fontsize=9)
             axis.set_xlabel("metres from the camera's death to the edge")
@@ -193,5 +203,5 @@ class ReachStudy(WalkingStudy):
 
 
 def single_gap(width: float, metres: float) -> Gap:
-    """A tile with one gap whose edge is `metres` beyond the run-up, m."""
-    return Gap(low=width, high=width, island=RUN_UP + metres)
+    """Tile with one gap whose edge is `metres` beyond the run-up, m."""
+    return Gap(low=width, high=width, island=_RUN_UP + metres)

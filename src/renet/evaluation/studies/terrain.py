@@ -1,12 +1,12 @@
-"""The terrain study: which tiles a policy crosses, level by level.
+"""The terrain study: levels of the training curriculum that a policy crosses.
 
-Every level of a kind of tile is walked at once, in every mode, and judged by true poses. The study
+All levels of a kind of tile are walked at once, in every mode, and judged by true poses. The study
 has two protocols:
 
 - `terrain` is the paper's table. Robots walk in a random direction and start again in the middle
-  after a fall. One passes a level when it leaves the tile within the time; its highest level is the
-  number of levels passed in a row from the first, 0 to 10. As many robots walk on flat ground.
-- `success` gives each robot one try, straight at the obstacle, with a camera that may fail. It
+  after a fall. A robot passes a level when it leaves the tile within the time; its highest level is
+  the number of levels passed in a row from the first, 0 to 10. As many robots walk on flat ground.
+- `success` gives each robot one try, straight at the obstacle, with a camera that may fail. A robot
   succeeds when it leaves the tile within the time without a fall.
 """
 
@@ -16,6 +16,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -24,9 +25,9 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.results import grouped
-from renet.evaluation.rollout import FLAT, PARKOUR, Mode, Trial
-from renet.evaluation.studies.one_try import AIM, NEAREST
+from renet.evaluation.results import column, group_by
+from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, StudyMode, Trial, robot_numbers
+from renet.evaluation.studies.one_try import NEAREST, START_YAW
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FaultSchedule, parse_fault
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
 TABLE = {"gap": ("gap",), "platform": ("platform",), "stairs": ("stairs_up", "stairs_down")}
-"""The paper's columns, and the tiles each is the mean of."""
-SIZES = {
+"""Columns of the paper's table, and the tiles each is the mean of."""
+SIZE_LABELS = {
     "gap": "gap width",
     "platform": "platform height",
     "stairs_up": "riser of stairs up",
@@ -49,12 +50,12 @@ SIZES = {
     "rough": "relief",
     KIND: "relief of your own ground",
 }
-"""What grows with the level of each kind of tile."""
+"""Name of the size that grows with the level, by kind of tile."""
 
 
 @dataclass(frozen=True)
 class TerrainStudy(WalkingStudy):
-    """The paper's table: how far up the training curriculum a policy gets.
+    """Measure the levels of the training curriculum that a policy passes: the paper's table.
 
     `--preset success` gives every robot one try at each obstacle instead, `--preset dawn` at those
     of DAWN's simulation; `--preset standing` commands robots to stop.
@@ -66,25 +67,25 @@ class TerrainStudy(WalkingStudy):
     """Kinds of tile."""
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
     """Levels of the curriculum, 1 to 10."""
-    modes: tuple[Mode, ...] = ("memory",)
+    modes: tuple[StudyMode, ...] = ("memory",)
     fault: str | None = None
     """A camera fault, NAME[:SEVERITY][@SECONDS[+DURATION]]; without a time it begins half a second
     before a robot is 1.2 m from its start, where gaps and stairs up begin."""
     seconds: float = 20.0
-    """Time to leave a tile (an episode's length in training)."""
+    """Time to leave a tile, s; by default the length of an episode in training."""
     scene: Path | None = None
     """Ground of your own in place of kinds of tile: a height map (.npy in m, .png), whose relief
-    grows to all of it with the levels, or an MJCF scene (.xml), the same at every level."""
+    grows with the levels to its full height, or an MJCF scene (.xml), the same at every level."""
     scene_width: float = 8.0
-    """Metres that a height map is wide; of more than 8 each level takes another piece."""
+    """Width of a height map, m; of a map wider than 8 m each level takes another piece."""
     scene_height: float = 0.3
-    """Metres of white above black in a .png."""
+    """Height of white above black in a .png, m."""
 
     name: ClassVar[str] = "terrain"
     selectable: ClassVar[tuple[str, ...]] = ("kinds",)
     one_try: ClassVar[bool] = False
     twins: ClassVar[bool] = False
-    """Whether the same robots meet every level."""
+    """True if the same robots walk on every level."""
     grounds: ClassVar[tuple[str, ...]] = tuple(tiles())
     sizes: ClassVar[Mapping[str, tuple[float, float]]] = {}
     """Sizes at levels 1 and 10, m, of tiles whose sizes are not the curriculum's."""
@@ -99,7 +100,9 @@ class TerrainStudy(WalkingStudy):
         super().__post_init__()
         if self.seconds < 1:
             raise RenetError(f"seconds must be at least 1, got {self.seconds}")
+        # Raises for a fault that is unknown.
         _ = self.schedule
+        # The dataclass is frozen, and a ground of one's own replaces the kinds of tile.
         if self.scene is not None:
             object.__setattr__(self, "kinds", (KIND,))
             if isinstance(self.tiles[KIND], OwnScene):
@@ -107,69 +110,80 @@ class TerrainStudy(WalkingStudy):
 
     @property
     def tiles(self) -> dict[str, Tile]:
-        """Every kind of tile in the study's sizes, or somebody's own ground alone."""
+        """Every kind of tile in the study's sizes, or the user's own ground alone."""
         if self.scene is not None:
             ground = GroundFile(file=self.scene, width=self.scene_width, height=self.scene_height)
             return {KIND: ground.tile()}
-        changed = tiles()
+        kinds = tiles()
         for kind, (low, high) in self.sizes.items():
-            changed[kind] = replace(changed[kind], low=low, high=high)
-        return changed
+            kinds[kind] = replace(kinds[kind], low=low, high=high)
+        return kinds
 
     @property
     def schedule(self) -> FaultSchedule:
-        """What happens to every camera; the nearest obstacle begins 1.2 m from the start."""
+        """Fault of every camera."""
         if self.fault is None:
             return ()
+        # By default half a second before the nearest obstacle, at the commanded speed.
         return (parse_fault(self.fault, max(NEAREST / self.speed - 0.5, 0.0)),)
 
     @property
     def settings(self) -> list[tuple[int, str]]:
         """Level and mode of every group of robots on one kind of tile."""
-        alike = self.scene is not None and len(self.levels) == 1
-        levels = self.quick_levels if self.quick and not alike else self.levels
-        return [(level, mode) for level in levels for mode in self.modes]
+        # An MJCF scene has one level.
+        one_level = self.scene is not None and len(self.levels) == 1
+        levels = self.quick_levels if self.quick and not one_level else self.levels
+        return list(product(levels, self.modes))
 
     def file_digests(self) -> dict[str, str]:
-        """Of the motors, and of the ground."""
+        """Hashes of the files of motors and ground, for parts' keys."""
         digests = super().file_digests()
         if self.scene is not None:
             digests["scene"] = hashlib.sha256(self.scene.read_bytes()).hexdigest()
         return digests
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One batch for each kind of tile, and one on flat ground where that is reported."""
+        """One batch for each kind of tile, and for the paper's table one on flat ground."""
+        # Batches of the same robots share an environment.
         make = cache(partial(self._make_env, evaluator))
-        flat = {} if self.one_try else {"flat": partial(self._walk_flat, evaluator)}
-        return flat | {
-            kind: partial(self._walk_tiles, evaluator, make, kind) for kind in self.kinds
-        }
+        parts: dict[str, Callable[[], Part]] = {}
+        if not self.one_try:
+            parts["flat"] = partial(self._walk_flat, evaluator)
+        for kind in self.kinds:
+            parts[kind] = partial(self._walk_tiles, evaluator, make, kind)
+        return parts
 
     def _walk_flat(self, evaluator: Evaluator) -> Part:
-        """As many robots as in a setting, on flat ground."""
+        """Walk with as many robots as in a setting on flat ground."""
         robots = range(self.robots_each)
-        env = evaluator.make_env(FLAT, robots, self.speed, self.seed)
+        env = evaluator.make_env(FLAT_GROUND, robots, self.speed, self.seed)
         trials = [Trial(self.modes[0], robot=robot) for robot in robots]
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, "flat")
         return {"falls": int(trace.fell.sum())}
 
     def _walk_tiles(self, evaluator: Evaluator, make: Any, kind: str) -> Part:
-        """All levels and modes of one kind of tile, side by side."""
-        settings, each = self.settings, self.robots_each
+        """Walk all levels and modes of one kind of tile, side by side."""
+        settings = self.settings
         env, trials = self.robots_on(make, [(kind, *setting) for setting in settings])
         steps = round(self.seconds / CONTROL_DT)
         least = 0 if self.one_try else None
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
         rollout = evaluator.rollout(env, trials, self.seed)
         trace = rollout.run(steps, title, until_ended=least, retire=self.one_try)
-        groups = trace.groups(each)
+        groups = trace.groups(self.robots_each)
+        runs = []
+        levels_passed = []
+        for (level, mode), group in zip(settings, groups, strict=True):
+            runs.append(self._run(kind, level, mode, group))
+            levels_passed.append(passed(group))
+        # The paper's table is that of the first mode.
         first = trace.robots(np.array([trial.mode == self.modes[0] for trial in trials]))
         walks = ~first.over
         along = np.minimum(first.forward_velocity, self.speed) / (self.speed + 1e-5)
         return {
-            "runs": [self._run(kind, *s, group) for s, group in zip(settings, groups, strict=True)],
-            "passed": [passed(group) for group in groups],
+            "runs": runs,
+            "passed": levels_passed,
             # Sums over the steps of first tries: collisions, and the reward for speed.
             "steps": int(walks.sum()),
             "collisions": float(first.collisions[walks].sum()),
@@ -179,30 +193,43 @@ class TerrainStudy(WalkingStudy):
     def robots_on(
         self, make: Callable[[tuple[int, ...]], SimEnv], groups: Sequence[tuple[str, int, str]]
     ) -> tuple[SimEnv, list[Trial]]:
-        """Robots on their tiles, and their trials; groups are kind, level (1 on flat) and mode."""
+        """Put robots on their tiles.
+
+        Args:
+            make: makes the environment of robots of some numbers.
+            groups: kind, level (1 for flat ground) and mode of each group of robots.
+
+        Returns:
+            The environment, and the robots' trials, group by group.
+        """
         each = self.robots_each
-        rows = [(*group, robot) for group in groups for robot in range(each)]
-        trials = [
-            Trial(mode, self.schedule, robot if self.twins else level * each + robot)
-            for _, level, mode, robot in rows
-        ]
-        env = make(tuple(trial.robot for trial in trials))
-        # The first level of rough ground has no relief.
-        known = list(self.tiles)
-        columns = [known.index("rough" if kind == FLAT else kind) for kind, *_ in rows]
-        env.place(np.array([level - 1 for _, level, *_ in rows]), np.array(columns))
+        kinds = list(self.tiles)
+        trials: list[Trial] = []
+        levels = []
+        columns = []
+        for kind, level, mode in groups:
+            # The first level of rough ground has no relief.
+            place = kinds.index("rough" if kind == FLAT_GROUND else kind)
+            for robot in range(each):
+                # Twins are the same robots at every level.
+                number = robot if self.twins else level * each + robot
+                trials.append(Trial(mode, self.schedule, number))
+                levels.append(level - 1)
+                columns.append(place)
+        env = make(tuple(robot_numbers(trials)))
+        env.place(np.array(levels), np.array(columns))
         return env, trials
 
     def _make_env(self, evaluator: Evaluator, numbers: Sequence[int]) -> SimEnv:
-        """The curriculum's field of tiles, walked along +x where there is one try."""
+        """Make the curriculum's field of tiles; robots with one try walk along +x."""
         cfg = evaluator.terrain_env_cfg(PARKOUR)
         cfg.scene.terrain.terrain_generator.sub_terrains = self.tiles
         if self.one_try:
-            cfg.events["spawn"].params["pose_range"]["yaw"] = (-AIM, AIM)
+            cfg.events["spawn"].params["pose_range"]["yaw"] = (-START_YAW, START_YAW)
         return evaluator.make_env(cfg, numbers, self.speed, self.seed)
 
     def _run(self, kind: str, level: int, mode: str, trace: Trace) -> dict[str, Any]:
-        """One row of the summary."""
+        """Row of the summary of one group of robots."""
         crossed, fell, seconds = trace.first_try()
         success = crossed if self.one_try else passed(trace)
         return {
@@ -222,47 +249,57 @@ class TerrainStudy(WalkingStudy):
         }
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """Rows, the paper's table, and sizes crossed less often in mode memory than blind."""
-        runs = [run for kind in self.kinds for run in parts[kind]["runs"]]
+        """Rows, sizes crossed less often in mode memory than blind, and the paper's table."""
+        runs = []
+        for kind in self.kinds:
+            runs += parts[kind]["runs"]
         summary = {"runs": runs, "worse": worse_than_blind(runs), "robots": self.robots_each}
         if self.one_try:
             return summary
-        first = [n for n, (_, mode) in enumerate(self.settings) if mode == self.modes[0]]
-        highest = {
-            kind: highest_level(np.array(parts[kind]["passed"], bool)[first]) for kind in self.kinds
-        }
-        table = {
-            column: np.concatenate([highest[kind] for kind in kinds])
-            for column, kinds in TABLE.items()
-            if all(kind in highest for kind in kinds)
-        }
-        steps = max(sum(parts[kind]["steps"] for kind in self.kinds), 1)
-        return summary | {
-            "levels": {name: float(value.mean()) for name, value in table.items()},
-            "levels_ci95": {name: metrics.bootstrap_interval(v) for name, v in table.items()},
-            "levels_by_kind": {kind: float(value.mean()) for kind, value in highest.items()},
-            **{
-                name: sum(parts[kind][name] for kind in self.kinds) / steps
-                for name in ("collisions", "lin_vel_reward")
-            },
+        return summary | self._paper_table(parts)
+
+    def _paper_table(self, parts: Mapping[str, Part]) -> dict[str, Any]:
+        """Highest levels, collisions and the reward for speed of the first mode."""
+        first = [place for place, (_, mode) in enumerate(self.settings) if mode == self.modes[0]]
+        # Highest level of each robot, by kind.
+        highest = {}
+        levels_by_kind = {}
+        for kind in self.kinds:
+            highest[kind] = highest_level(np.array(parts[kind]["passed"], bool)[first])
+            levels_by_kind[kind] = float(highest[kind].mean())
+        levels = {}
+        intervals = {}
+        for heading, kinds in TABLE.items():
+            if all(kind in highest for kind in kinds):
+                values = np.concatenate([highest[kind] for kind in kinds])
+                levels[heading] = float(values.mean())
+                intervals[heading] = metrics.bootstrap_interval(values)
+        # Means over the steps of all first tries.
+        batches = [parts[kind] for kind in self.kinds]
+        steps = max(sum(column(batches, "steps")), 1)
+        return {
+            "levels": levels,
+            "levels_ci95": intervals,
+            "levels_by_kind": levels_by_kind,
+            "collisions": sum(column(batches, "collisions")) / steps,
+            "lin_vel_reward": sum(column(batches, "lin_vel_reward")) / steps,
             "falls_on_flat": parts["flat"]["falls"],
         }
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """The share of robots that get across, against the obstacle's size."""
-        panels = {
-            f"{SIZES[kind]} (cm)": sorted(rows, key=itemgetter("size_m"))
-            for (kind,), rows in grouped(summary["runs"], "kind").items()
-        }
+        """Figure of the share of robots that cross, against the obstacle's size."""
+        panels = {}
+        for (kind,), rows in group_by(summary["runs"], "kind").items():
+            panels[f"{SIZE_LABELS[kind]} (cm)"] = sorted(rows, key=itemgetter("size_m"))
         figure = figures.share_panels(panels, "success", lambda run: f"{100 * run['size_m']:.0f}")
         return {f"{self.name}.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Shares that get across, and the paper's table."""
-        rows = [
-            (kind, f"{100 * size:.0f}", *(f"{100 * run['success_rate']:.0f}" for run in runs))
-            for (kind, size), runs in grouped(summary["runs"], "kind", "size_m").items()
-        ]
+        """Shares that cross, and the paper's table."""
+        rows = []
+        for (kind, size), runs in group_by(summary["runs"], "kind", "size_m").items():
+            shares = [f"{100 * run['success_rate']:.0f}" for run in runs]
+            rows.append((kind, f"{100 * size:.0f}", *shares))
         header = ("obstacle", "size (cm)", *self.modes)
         tables: list[Table] = [(f"Robots that cross, % of {summary['robots']}", header, rows)]
         if not self.one_try and len(self.settings) > len(self.modes):
@@ -270,10 +307,10 @@ class TerrainStudy(WalkingStudy):
             levels += [("falls on flat ground", summary["falls_on_flat"])]
             tables.append((f"Mean highest level of {LEVELS}", ("tile", "level"), levels))
         if summary["worse"]:
-            worse = [
-                (w["kind"], f"{100 * w['size_m']:.0f}", *_percent(w, "memory", "blind"))
-                for w in summary["worse"]
-            ]
+            worse = []
+            for row in summary["worse"]:
+                shares = (f"{100 * row['memory']:.0f}", f"{100 * row['blind']:.0f}")
+                worse.append((row["kind"], f"{100 * row['size_m']:.0f}", *shares))
             title = "Sizes that fewer robots cross in mode memory than in mode blind, %"
             tables.append((title, ("obstacle", "size (cm)", "memory", "blind"), worse))
         return tables
@@ -281,15 +318,15 @@ class TerrainStudy(WalkingStudy):
 
 @dataclass(frozen=True)
 class SuccessStudy(TerrainStudy):
-    """One try at each obstacle, kind by kind and size by size, in several modes."""
+    """Give robots one try at each obstacle, kind by kind and size by size, in several modes."""
 
     out: Path = Path("results/success")
     """Folder for summary.md, summary.json, summary.csv, success.png and parts/."""
     levels: tuple[int, ...] = (1, 2, 3, 4, 6, 8, 10)
     """Sizes, as levels of the curriculum, 1 to 10."""
-    modes: tuple[Mode, ...] = ("camera", "memory", "blind")
+    modes: tuple[StudyMode, ...] = ("camera", "memory", "blind")
     seconds: float = 16.0
-    """Time to cross: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
+    """Time to cross, s: the 4 m to the tile's edge take 6.7 s at the commanded speed."""
 
     name: ClassVar[str] = "success"
     one_try: ClassVar[bool] = True
@@ -300,19 +337,19 @@ class SuccessStudy(TerrainStudy):
 
 @dataclass(frozen=True)
 class DawnStudy(SuccessStudy):
-    """DAWN's obstacles in simulation (arXiv 2609.29092), with one try each.
+    """Give robots one try at DAWN's obstacles in simulation (arXiv 2609.29092).
 
-    100 robots meet ten sizes of each kind; `--seed` 1, 2 and 3 stand for its three trainings. Its
-    speed, treads, run-up and time are not published: these are the success study's.
+    100 robots walk at ten sizes of each kind; `--seed` 1, 2 and 3 stand for its three trainings.
+    Its speed, treads, run-up and time are not published: these are the success study's.
     """
 
     out: Path = Path("results/dawn")
     """Folder for summary.md, summary.json, summary.csv, dawn.png and parts/."""
     levels: tuple[int, ...] = tuple(range(1, LEVELS + 1))
-    """Tenths of the range of sizes, 1 to 10."""
-    modes: tuple[Mode, ...] = ("camera", "blind")
+    """Sizes, as tenths of their range, 1 to 10."""
+    modes: tuple[StudyMode, ...] = ("camera", "blind")
     robots: int = 10
-    """Robots for each size and mode; with `quick` always fewer."""
+    """Number of robots for each size and mode; with `quick` always fewer."""
 
     name: ClassVar[str] = "dawn"
     twins: ClassVar[bool] = False
@@ -325,28 +362,31 @@ class DawnStudy(SuccessStudy):
     }
 
 
-def _percent(row: Mapping[str, float], *names: str) -> list[str]:
-    """Shares of a row in per cent, by their names."""
-    return [f"{100 * row[name]:.0f}" for name in names]
-
-
 def passed(trace: Trace) -> np.ndarray:
-    """[N] bool: the robot left its tile at least once."""
+    """True for robots that left their tile at least once, [N]."""
     return np.any(trace.ended & ~trace.fell, axis=0)
 
 
 def highest_level(levels_passed: np.ndarray) -> np.ndarray:
-    """[..., R] levels passed in a row from the first; `levels_passed` is [..., L, R] bool."""
+    """Number of levels passed in a row from the first, [..., R].
+
+    Args:
+        levels_passed: [..., L, R] bool, each robot passed each level.
+    """
     return np.sum(np.logical_and.accumulate(levels_passed, axis=-2), axis=-2)
 
 
 def worse_than_blind(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Sizes that robots cross less often in mode memory than blind, by more than two points."""
-    op = {(r["kind"], r["level"]): r["success_rate"] for r in runs if r["mode"] == "blind"}
-    return [
-        {"kind": r["kind"], "size_m": r["size_m"], "memory": r["success_rate"], "blind": blind}
-        for r in runs
-        if r["mode"] == "memory"
-        and (blind := op.get((r["kind"], r["level"]))) is not None
-        and r["success_rate"] < blind - 0.02
-    ]
+    blind_rates = {}
+    for run in runs:
+        if run["mode"] == "blind":
+            blind_rates[run["kind"], run["level"]] = run["success_rate"]
+    worse = []
+    for run in runs:
+        blind = blind_rates.get((run["kind"], run["level"]))
+        if run["mode"] != "memory" or blind is None or run["success_rate"] >= blind - 0.02:
+            continue
+        row = {"kind": run["kind"], "size_m": run["size_m"]}
+        worse.append(row | {"memory": run["success_rate"], "blind": blind})
+    return worse
