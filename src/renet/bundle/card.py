@@ -205,6 +205,7 @@ def _level_metrics(summary: dict[str, Any]) -> Iterator[dict[str, Any]]:
 def _fall_metrics(summary: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Falls of all robots that were driven in each mode."""
     runs = [run for run in summary["runs"] if "falls" in run]
+    # Each mode once, in the order of the runs.
     for mode in dict.fromkeys(run["mode"] for run in runs):
         of_mode = [run for run in runs if run["mode"] == mode]
         falls = [run["falls"] for run in of_mode]

@@ -196,6 +196,7 @@ def _trial() -> str:
         # The exceptions of ONNX Runtime have no common class.
         except Exception as error:
             reason = " ".join(str(error).split())[:300] or type(error).__name__
+            # ONNX Runtime has no exception of its own for want of memory.
             if "alloc" in reason:
                 raise MemoryError from error
             verdict = f"{name}.onnx is not a model ONNX Runtime can run: {reason}"

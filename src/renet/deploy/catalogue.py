@@ -134,6 +134,7 @@ class Go2Cfg(DriverCfg):
 
     def check(self) -> None:
         """Raise RenetError without an interface, or without Cyclone DDS."""
+        # All problems go into one error, so that nobody has to try again for each.
         names = [name for _, name in socket.if_nameindex()]
         problems = []
         if not self.interface:
@@ -251,6 +252,7 @@ class Ros2Cfg(TeleopCfg):
         from renet.deploy.ros2 import Ros2Teleop, domain_of
 
         domain = domain_of(self.ros_domain)
+        # A simulated robot can hurt nobody, and may run without a terminal.
         attended = not simulated or (sys.stdin is not None and sys.stdin.isatty())
         keys = KeyboardTeleop(math.inf) if attended else None
         return Ros2Teleop(

@@ -140,6 +140,7 @@ class DeployCfg:
             return self.deadman
         if self.operator.silence is not None:
             return self.operator.silence
+        # A simulated robot can hurt nobody.
         return math.inf if self.driver.simulated else DEADMAN
 
     @property

@@ -44,6 +44,7 @@ class Checklist:
         try:
             yield remarks
         except RenetError as error:
+            # A dry run goes on, so that the user sees all failures at once.
             if not self.patience:
                 raise
             self.failures.append(f"{name}: {error}")

@@ -115,6 +115,7 @@ class Controller:
         """
         self.robot = bundle.manifest.robot
         self.cfg = safety
+        # Before the robot moves, for it would have to wait for the models.
         _warm_up(bundle)
         self.policy = BundlePolicy(bundle, inference=inference)
         self.pilot = Pilot.of(bundle, mode=mode, policy=self.policy, unseen=unseen)

@@ -39,6 +39,7 @@ class VelocityDisplay:
         estimate = decision.velocity_vp if decision.vision else decision.velocity_op
         turn_rate = self._walked[2] if state is None else state.angular_velocity[2]
         newest = np.array([estimate[0], estimate[1], turn_rate], float)
+        # First-order low-pass filter.
         share = 1.0 - math.exp(-CONTROL_DT / _SMOOTHING)
         smoothed = self._walked + share * (newest - self._walked)
         return np.where(np.isfinite(smoothed), smoothed, 0.0)

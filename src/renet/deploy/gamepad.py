@@ -71,6 +71,7 @@ class Gamepad:
         self._device = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
         try:
             self.title = self._ask(PAD_NAME, "B").tobytes().split(b"\0")[0].decode(errors="replace")
+            # The kernel fills maps of fixed size, of which a pad uses the beginning.
             axes = self._ask(AXIS_MAP, "B")[: self._ask(AXIS_COUNT, "B")[0]]
             buttons = self._ask(BUTTON_MAP, "H")[: self._ask(BUTTON_COUNT, "B")[0]]
         except OSError:

@@ -34,6 +34,7 @@ def domain_of(given: int | None) -> int:
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     source = "ROS_DOMAIN_ID" if given is None else "--ros-domain"
     value = text if given is None else str(given)
+    # `isdigit` alone accepts the digits of other scripts, too.
     if not (value.isascii() and value.isdigit() and int(value) <= LAST_DOMAIN):
         raise RenetError(f"{source} must be from 0 to {LAST_DOMAIN}, got {value}")
     return int(value)

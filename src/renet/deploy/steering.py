@@ -75,6 +75,7 @@ class TwistSteering:
         """Return (v_x, v_y, omega_z), m/s and rad/s."""
         forward, left, turn_rate = velocity
         stands = forward == 0.0 and left == 0.0
+        # While the operator turns or the robot stands, nothing is corrected.
         if turn_rate != 0.0 or stands:
             self._kept = heading
             return forward, left, turn_rate

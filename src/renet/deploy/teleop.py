@@ -183,6 +183,7 @@ class KeyboardTeleop:
         try:
             self._descriptor = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._descriptor)
+            # Keys arrive at once and without an echo, and Ctrl-C still works.
             tty.setcbreak(self._descriptor)
         except (termios.error, OSError, ValueError, AttributeError) as error:
             raise RenetError(

@@ -122,6 +122,7 @@ def _joint_values(name: str, values: Mapping[str, _T]) -> list[_T]:
     """List the value of each joint; raises RenetError unless each has exactly one."""
     found = []
     for joint in JOINTS:
+        # A joint that two patterns match would depend on their order.
         matches = [value for pattern, value in values.items() if re.fullmatch(pattern, joint)]
         if len(matches) != 1:
             raise RenetError(f"{name} must have one value for {joint}, it has {len(matches)}")

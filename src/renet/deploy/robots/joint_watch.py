@@ -41,6 +41,7 @@ class JointWatch:
         now = state.joint_position
         if self._from is None:
             self._from = now.copy()
+        # Against the last report, not the last reading, so that slow turns add up.
         turn = now - self._from
         for joint in np.flatnonzero(np.abs(turn) >= TURN):
             self._from[joint] = now[joint]

@@ -44,6 +44,7 @@ def unitree() -> Any:
 def _require_free(port: int) -> None:
     """Raise RenetError if a program here already talks to a robot; the library would not notice."""
     try:
+        # A port is free if it can be bound; the probe gives it back at once.
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("", port))
     except OSError as error:

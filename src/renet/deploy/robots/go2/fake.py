@@ -73,6 +73,7 @@ class FakeGo2:
         self._servos = np.array([model.actuator(name).id for name in JOINTS])
         self._angles = np.array([joint.qposadr[0] for joint in joints])
         self._speeds = np.array([joint.dofadr[0] for joint in joints])
+        # Actuators take torques; `_drive` adds the gains of a command.
         model.actuator_gainprm[self._servos, 0] = 1.0
         base = model.jnt_qposadr[model.body(TRUNK).jntadr[0]]
         self.data.qpos[base : base + 7] = (0.0, 0.0, ground + _LYING_HEIGHT, 1.0, 0.0, 0.0, 0.0)

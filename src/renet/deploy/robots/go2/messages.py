@@ -136,6 +136,7 @@ def message_type(name: str, fields: Fields, module: str = MODULE) -> Any:
 
     def deserialize(data: bytes, *arguments: Any, **options: Any) -> Any:
         sample = base()
+        # Another encoding, or a payload that was cut.
         if data[:2] != CDR[:2] or len(data) < len(CDR) + size:
             sample.raw = sample.values = None
             return sample

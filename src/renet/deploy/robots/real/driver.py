@@ -80,6 +80,7 @@ class RealRobot:
         os.ftruncate(shared, SIZE)
         self._memory = mmap.mmap(shared, SIZE)
         self._alive, self._commands, self._readings = mailboxes(self._memory)
+        # The system closes this end of the pipe however this process dies.
         pipe, self._pipe = os.pipe()
         command = [sys.executable, "-P", "-m", "renet.deploy.robots.real.sender"]
         arguments = (shared, pipe, self.sink, self.link, json.dumps(self.settings))

@@ -62,6 +62,7 @@ class Mailbox:
     def read(self) -> np.ndarray | None:
         """Return the newest whole value; None before the first."""
         for _ in range(3):
+            # The writer may be in the middle of a write, which does not take long.
             raw = self._memory[self._offset : self.end]
             if zlib.crc32(raw[:-4]) == int.from_bytes(raw[-4:], "little"):
                 self._value = np.frombuffer(raw, self._layout, 1)[0]

@@ -44,6 +44,7 @@ class MotorTrouble:
         if commanded == -math.inf:
             return ""
         self._first = min(self._first, now)
+        # Motors change their mode some time after the first command.
         if now - self._first < BEGUN:
             return ""
         if self._usual is None:

@@ -23,6 +23,7 @@ def demand_convex(model: mujoco.MjModel) -> None:
     for geom in range(model.ngeom):
         if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
             continue
+        # Only the ground counts, and of it what a robot can touch.
         static = model.body_weldid[model.geom_bodyid[geom]] == 0
         if not static or not model.geom_contype[geom] & 1:
             continue

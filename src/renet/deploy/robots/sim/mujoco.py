@@ -57,6 +57,7 @@ class MujocoRobot:
         spin = model.jnt_dofadr[free] + 3
         self._spin = slice(spin, spin + 3)
         self.data.qpos[self._position] = robot.default_position
+        # Joints are limp until the first command.
         limp = np.zeros(len(JOINTS))
         self.write(JointCommand(np.array(robot.default_position), limp, limp))
         mujoco.mj_forward(model, self.data)

@@ -101,6 +101,7 @@ def _add_tile(spec: mujoco.MjSpec, tile: Tile, difficulty: float, seed: int) -> 
     half = (BORDER - TILE / 2) / 2
     body = spec.body(TERRAIN)
     away = TILE / 2 + half
+    # Four slabs, one on each side of the tile.
     for side in (-1, 1):
         _ground(body, (side * away, 0.0), (half, BORDER))
         _ground(body, (0.0, side * away), (TILE / 2, half))

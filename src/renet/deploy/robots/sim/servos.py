@@ -46,6 +46,7 @@ class MeasuredServos(Servos):
         model.dof_armature[dofs] = fit.array("armature")
         model.dof_damping[dofs] = fit.array("damping")
         model.dof_frictionloss[dofs] = fit.array("friction")
+        # MuJoCo derives other constants of the model from these.
         mujoco.mj_setConst(model, mujoco.MjData(model))
         self._lag = np.round(fit.array("delay") / model.opt.timestep).astype(int)
         self._newest: JointCommand | None = None
