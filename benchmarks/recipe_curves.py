@@ -21,7 +21,7 @@ from renet.evaluation import figures
 from renet.files import read_object
 from renet.terrain.tiles import tiles
 from renet.training.config import steps_per_env
-from renet.training.train import CONFIG
+from renet.training.train import CONFIG_FILE
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
 FLAGSHIP = Path(__file__).with_name("results") / "flagship"
@@ -38,7 +38,7 @@ def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, f
     Returns:
         Rows of "steps" (environment steps), "hours" and each kind's level.
     """
-    config = read_object(run / CONFIG)
+    config = read_object(run / CONFIG_FILE)
     curves = {name: list(curve.values()) for name, curve in read_curves(run / CURVES).items()}
     robots, agent = config["env"]["scene"]["num_envs"], config["agent"]
     values = {n.removeprefix(LEVEL): c for n, c in curves.items() if n.startswith(LEVEL)}

@@ -26,7 +26,7 @@ def attempt(tmp_path: Path, monkeypatch):
     """Runs an expression as a trial."""
     (tmp_path / "a_trial.py").write_text(MODULE)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
-    monkeypatch.setattr(trial, "PATIENCE", 0.5)
+    monkeypatch.setattr(trial, "STALL_INTERVAL", 0.5)
     return lambda code, data=b"": run_trial("a_trial", [code], "the model", data)
 
 

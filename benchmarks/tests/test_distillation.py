@@ -22,7 +22,7 @@ from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.models.oracle import true_image
-from renet.terrain.tiles import PIT, TILE, Gap, Platform, tiles
+from renet.terrain.tiles import PIT, TILE, GapTile, PlatformTile, tiles
 from renet.training import checkpoint as checkpoints
 from renet.training.config import RenetRunnerCfg, SupervisionCfg
 from renet.training.export import load_networks
@@ -169,8 +169,8 @@ def test_teachers_drive_ever_less(teachers, tmp_path, over, drives) -> None:
 def test_soft_platforms_give_way_and_soft_gaps_are_shallow(soft) -> None:
     spec = mujoco.MjSpec()
     spec.worldbody.add_body(name="terrain")
-    Platform(low=0.3).function(0.0, spec, np.random.default_rng(0))
-    Gap(low=0.5).function(0.0, spec, np.random.default_rng(0))
+    PlatformTile(low=0.3).function(0.0, spec, np.random.default_rng(0))
+    GapTile(low=0.5).function(0.0, spec, np.random.default_rng(0))
     foot = spec.worldbody.add_body(pos=(TILE / 2 + 2.0, TILE / 2, 0.33))
     foot.add_freejoint()
     foot.add_geom(size=(0.02, 0, 0), mass=3.0, priority=1, solref=(0.01, 1.0))

@@ -1,6 +1,6 @@
-"""The command line, `renet <command>`; every command is a dataclass and a function elsewhere.
+"""Command line `renet <command>`; a command is a dataclass of options and a function elsewhere.
 
-Commands are imported only when called, so that the robot's install needs no training packages.
+Commands are imported when they are called, so that a robot needs no training packages.
 """
 
 import argparse
@@ -25,32 +25,32 @@ from renet import __version__
 from renet.errors import RenetError, install, printable, reason, unknown_name
 
 HELP_ALL = "--help-all"
-"""Shows the settings that depend on a task, too, which loads PyTorch."""
+"""Option that also lists the settings of a task, for which PyTorch is loaded."""
 SIGPIPE_CODE = 141
-"""Exit code of a program whose reader left, as shells count it."""
+"""Exit code of a program whose reader has left, as in shells."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """A function and the dataclass of options that it is called with."""
+    """Command: a function and the dataclass of its options."""
 
     help: str
     target: str
-    """MODULE:CONFIG:FUNCTION."""
+    """Module, dataclass and function, MODULE:CONFIG:FUNCTION."""
     extra: str = "train"
-    """What to install if the module's imports are missing."""
+    """Extra of `pyproject.toml` with the packages that the command needs."""
     group: str = "Measure"
-    """Heading of `renet --help` under which it stands."""
+    """Heading in `renet --help`."""
     presets: dict[str, str] = field(default_factory=dict)
-    """MODULE:CONFIG with other defaults, by what follows `--preset`."""
+    """Dataclasses with other defaults, MODULE:CONFIG, by the value of `--preset`."""
     resume: str = ""
-    """What an interruption leaves, and how to go on."""
+    """Message after an interruption: its consequences, and how to continue."""
     options: str = ""
-    """MODULE:CONFIG that `--help` shows and that mistakes are looked for with first, where the
-    target's module loads PyTorch."""
+    """Dataclass MODULE:CONFIG of a command that loads PyTorch. It needs no PyTorch: `--help` shows
+    it, and mistakes are found with it first."""
 
     def check(self, arguments: list[str], program: str) -> None:
-        """Refuse what can be told without PyTorch; raises RenetError, or exits with 2 as tyro."""
+        """Find mistakes without PyTorch; raises RenetError, or exits with code 2, as tyro does."""
         if not self.options or {"-h", "--help", HELP_ALL}.intersection(arguments):
             return
         module, config = self.options.split(":")
@@ -61,7 +61,7 @@ class Command:
             cfg.check()
 
     def load(self, arguments: list[str]) -> tuple[Callable[[Any], Any], Any, list[str]]:
-        """The function, the dataclass that `--preset` asks for, and the other arguments."""
+        """Import the function and the dataclass, and return them with the remaining arguments."""
         module, config, function = self.target.split(":")
         if self.options and not {"-h", "--help"}.isdisjoint(arguments):
             module, config = self.options.split(":")
@@ -116,7 +116,7 @@ COMMANDS = {
     ),
     "recipe": _train(
         "print every setting of a checkpoint or a new run",
-        "renet.training.train:RecipeCfg:show",
+        "renet.training.train:RecipeCfg:show_recipe",
         options="renet.options:RecipeCfg",
     ),
     "export": _train(
@@ -202,15 +202,15 @@ COMMANDS = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command line; returns the exit code (2 for anything the user can put right)."""
+    """Run a command line and return the exit code, 2 for errors that the user can correct."""
     arguments = sys.argv[1:] if argv is None else argv
     for stream in (sys.stdout, sys.stderr):
-        # A terminal of ASCII shows ? for an arrow: that is no reason to end.
+        # A terminal of ASCII shows ? in place of an arrow, which is no error.
         with suppress(AttributeError):
             stream.reconfigure(errors="replace")
-    # A spinning OpenMP team starves whatever shares the machine; must be set before torch loads.
+    # Idle OpenMP threads would otherwise occupy processors. It must be set before torch is loaded.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    # No command draws with OpenGL, whose absence, or a misspelt choice, would end MuJoCo's import.
+    # No command uses OpenGL. Without it, or with a misspelt choice, importing MuJoCo would fail.
     os.environ["MUJOCO_GL"] = "disable"
     interrupts: list[int] = []
 
@@ -224,24 +224,30 @@ def main(argv: list[str] | None = None) -> int:
             signal.signal(number, interrupt)
     try:
         return _run(arguments, interrupts)
-    except BrokenPipeError:  # `renet … | head`: nobody reads on.
-        code, streams = SIGPIPE_CODE, (sys.stdout, sys.stderr)
-    except OSError as error:  # A full disk behind standard output, for one.
+    except BrokenPipeError:
+        # As with `renet … | head`, which reads no further.
+        code = SIGPIPE_CODE
+        streams = (sys.stdout, sys.stderr)
+    except OSError as error:
+        # Standard output cannot be written, for example to a full disk.
         print(f"renet: {reason(error)}", file=sys.stderr)
-        code, streams = 2, (sys.stdout,)
+        code = 2
+        streams = (sys.stdout,)
+    # Buffered output must not raise again at exit.
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in streams:  # What is still held back must not raise at exit.
+    for stream in streams:
         with suppress(OSError, AttributeError):
             os.dup2(nowhere, stream.fileno())
     return code
 
 
 def _run(arguments: list[str], interrupts: list[int]) -> int:
-    """Run a command; what the user can put right becomes one line."""
+    """Run a command; an error that the user can correct becomes one line."""
     try:
         return _dispatch(arguments)
     except (RenetError, OSError) as error:
-        if getattr(error, "filename", "") is None:  # About no file that the user named.
+        # An OSError without a file is not about one that the user named.
+        if getattr(error, "filename", "") is None:
             raise
         named = getattr(error, "filename", None)
         text = f"{named}: {reason(error)}" if named else reason(error)
@@ -255,7 +261,8 @@ def _run(arguments: list[str], interrupts: list[int]) -> int:
         print(": ".join(filter(None, ("renet: interrupted", why))), file=sys.stderr)
         return 130
     finally:
-        if sys.stdout is not None:  # `renet … >&-` has none.
+        # With `renet … >&-` there is no standard output.
+        if sys.stdout is not None:
             sys.stdout.flush()
 
 
@@ -280,21 +287,22 @@ def _dispatch(arguments: list[str]) -> int:
         cfg = parse(config, rest, f"renet {name}")
         result = run(cfg)
     except ModuleNotFoundError as error:
-        # Also of imports that wait until an option needs them.
+        # Some modules are imported only if an option needs them.
         raise _missing(error, name, command.extra) from error
     except KeyboardInterrupt as interrupt:
         raise KeyboardInterrupt(str(interrupt) or command.resume) from interrupt
     where = result if isinstance(result, Path) else getattr(cfg, "out", None)
-    if where is not None:  # A sentence says it better.
+    # A command may return a sentence to print in place of its output's path.
+    if where is not None:
         print(result if isinstance(result, str) else f"Results: {where}")
     return 0
 
 
 def parse(config: Any, arguments: list[str], program: str) -> Any:
-    """The dataclass `config` filled from the arguments; tyro explains mistakes and exits with 2."""
+    """Build the dataclass `config` from arguments; for mistakes tyro exits with code 2."""
     import tyro
 
-    # With DisallowNone a default of None reads `PATH`, not `{None}|PATH`.
+    # With DisallowNone, help shows an option of default None as `PATH`, not as `{None}|PATH`.
     options = getattr(config, "tyro_flags", (tyro.conf.DisallowNone,))
     return tyro.cli(
         config, args=arguments, prog=program, config=options, **_default(config, arguments)
@@ -302,12 +310,12 @@ def parse(config: Any, arguments: list[str], program: str) -> Any:
 
 
 def _default(config: Any, arguments: list[str]) -> dict[str, Any]:
-    """What to call tyro with where a configuration's defaults depend on the arguments."""
+    """Return tyro's argument for a configuration whose defaults depend on the command line."""
     return {"default": config.defaults(arguments)} if hasattr(config, "defaults") else {}
 
 
 def _missing(error: ModuleNotFoundError, name: str, extra: str) -> Exception:
-    """What to do about a module that a command needs and this computer lacks."""
+    """Return the error for a module that a command needs and this computer lacks."""
     if error.name in sys.stdlib_module_names:
         return RenetError(f"renet runs on Linux (on Windows in WSL 2): {error.name} is missing")
     if not error.name or error.name.startswith("renet"):
@@ -316,7 +324,10 @@ def _missing(error: ModuleNotFoundError, name: str, extra: str) -> Exception:
 
 
 def _match(arguments: list[str]) -> tuple[str, list[str]]:
-    """The command (one or two words), or the first word of several, and its own arguments."""
+    """Split arguments into the command's name, of one or two words, and its own arguments.
+
+    For `renet evaluate --help` the name is the first word of several commands.
+    """
     for words in (2, 1):
         name = " ".join(arguments[:words])
         if name in COMMANDS:
@@ -332,7 +343,7 @@ def _match(arguments: list[str]) -> tuple[str, list[str]]:
 
 
 def _help(first: str) -> str:
-    """The commands by group; only those of one first word, if it is given."""
+    """Return the help: all commands by group, or those that begin with the word `first`."""
     lines = [f"renet {__version__}: quadruped locomotion that survives the loss of its camera"]
     width = max(map(len, COMMANDS))
     rows = [(n, c) for n, c in COMMANDS.items() if not first or n.split()[0] == first]
@@ -342,7 +353,7 @@ def _help(first: str) -> str:
 
 
 def _print_completion(arguments: list[str]) -> int:
-    """Print what makes a shell complete commands and options, for those commands that load here."""
+    """Print a script with which a shell completes the commands that can be imported here."""
     import tyro
 
     branches: dict[str, list[Any]] = {}
@@ -360,7 +371,7 @@ def _print_completion(arguments: list[str]) -> int:
     every: Any = Union[tuple(top)]  # noqa: UP007
     with redirect_stdout(io.StringIO()) as script, suppress(SystemExit):
         tyro.cli(every, prog="renet", args=["--tyro-print-completion", *arguments])
-    # tyro's shell scripts take each line of a description for a choice.
+    # In tyro's shell scripts each line of a description would become a choice.
     one_line = re.compile(r"^COMPLETION_SPEC.*$", re.MULTILINE)
     print(one_line.sub(lambda spec: spec[0].replace(r"\n", " "), script.getvalue()))
     return 0

@@ -9,15 +9,22 @@ from renet.errors import RenetError, reason
 CURVES = "curves.csv"
 """Name of the file in a run's folder."""
 STEPS = "Curriculum/environment_steps"
-"""The curve that says how many environment steps were done."""
+"""Name of the curve of environment steps taken."""
 LEVEL = "Curriculum/level/"
-"""Beginning of the names of the curriculum's levels, which end with the kind of tile."""
+"""Prefix of the curves of the curriculum's levels; the kind of tile follows."""
 
 
 def read_curves(file: Path) -> dict[str, dict[int, float]]:
-    """Curves by name, each a value by iteration; a resumed iteration's last value counts.
+    """Read the curves of a run.
 
-    A row that was torn when the run was killed is left out. Raises RenetError without a file.
+    Of an iteration that a resumed run repeated, the last value counts. A row that a killed run left
+    incomplete is skipped.
+
+    Returns:
+        Values by iteration, by the curve's name.
+
+    Raises:
+        RenetError: The file cannot be read.
     """
     curves: dict[str, dict[int, float]] = {}
     try:
@@ -25,6 +32,7 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
             for row in csv.DictReader(lines):
                 with suppress(KeyError, TypeError, ValueError):
                     curves.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
-    except (OSError, ValueError) as error:  # A path with a null byte is a ValueError.
+    except (OSError, ValueError) as error:
+        # A null byte in the path is a ValueError.
         raise RenetError(f"cannot read the curves {file}: {reason(error)}") from error
     return curves

@@ -1,4 +1,4 @@
-"""The exception that renet raises for everything a user can correct."""
+"""Exception for errors that a user can correct, and its messages."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -6,20 +6,20 @@ from difflib import get_close_matches
 
 
 class RenetError(Exception):
-    """Bad input or a bad file: the message names what is wrong and what to do about it.
+    """Error that a user can correct. The message names the cause and what to do about it.
 
     The command line prints it as one line and exits with code 2.
     """
 
 
 class Problems(RenetError):
-    """Several things that a user can correct, all told at once."""
+    """Several errors that a user can correct, in one message."""
 
     def __init__(self, problems: Sequence[str]) -> None:
         numbered = (f"({number}) {problem}" for number, problem in enumerate(problems, 1))
         super().__init__(f"{len(problems)} things are in the way: {'; '.join(numbered)}")
         self.problems = list(problems)
-        """One line for each."""
+        """A line for each error."""
 
 
 def demand_none(problems: Sequence[str]) -> None:
@@ -32,7 +32,7 @@ def demand_none(problems: Sequence[str]) -> None:
 
 @contextmanager
 def collected(problems: list[str]) -> Iterator[None]:
-    """Add what is wrong in the block to a list of problems."""
+    """Context that adds the errors raised in it to a list of problems."""
     try:
         yield
     except Problems as error:
@@ -42,17 +42,18 @@ def collected(problems: list[str]) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """What went wrong, without the number and the path that the system's errors bring along."""
+    """Return an error's message, without the number and path that the system's errors contain."""
     return getattr(error, "strerror", None) or str(error)
 
 
 def printable(text: str) -> str:
-    """One line of a text that may be a stranger's: nothing in it commands the terminal."""
+    """Return a text, which may come from a stranger, without characters that control a terminal."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def install(extra: str) -> str:
-    """How to install what an extra of `pyproject.toml` lists; renet is not on PyPI."""
+    """Return the instruction to install an extra of `pyproject.toml`."""
+    # From a clone, because renet is not on PyPI.
     extras = f"[{extra}]" if extra else ""
     return f"in a clone of renet, run pip install -c requirements-lock.txt -e '.{extras}'"
 
@@ -64,11 +65,14 @@ def demand_name(kind: str, name: str, choices: Collection[str]) -> None:
 
 
 def unknown_name(kind: str, name: str, choices: Iterable[str]) -> RenetError:
-    """The error for a name that is not among the choices: it suggests the nearest, or lists all.
+    """Build the error for a name that is not among the choices.
+
+    Its message suggests the most similar names, or lists all of them.
 
     Args:
-        kind: what the name stands for, such as "fault". name: what the user wrote.
-        choices: the names that exist.
+        kind: Kind of the name, such as "fault".
+        name: Name that the user wrote.
+        choices: Names that exist.
     """
     names = list(choices)
     nearest = get_close_matches(name, names, cutoff=0.7)

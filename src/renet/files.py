@@ -1,4 +1,4 @@
-"""Reads files of unknown origin within stated limits; creates files without following links.
+"""Reading of files of unknown origin within limits, and writing without following links.
 
 Every file that renet writes, renames or deletes goes through here or through `renet.folders`, which
 `tools/writes.py` checks.
@@ -18,49 +18,61 @@ from renet.errors import RenetError, reason
 
 MEGABYTE = 1_000_000
 MAX_JSON = 4 * MEGABYTE
-"""Bytes. Python objects need up to about 25 times the space of their JSON."""
+"""Largest JSON file, bytes. Python objects need up to about 25 times the space of their JSON."""
 MAX_DEPTH = 32
 """Deepest nesting of JSON values."""
 
 
 def read_bytes(path: Path, limit: int, what: str = "file") -> bytes:
-    """Read a whole file without ever waiting for another program.
+    """Read a whole file, without waiting for another program.
 
     Args:
-        path: of the file. limit: most bytes it may have.
-        what: the file's name in messages, such as "manifest".
+        path: Path of the file.
+        limit: Largest size, bytes.
+        what: Kind of the file for messages, such as "manifest".
 
     Raises:
-        RenetError: no such file, not a regular file (a folder, device, pipe or socket), larger
-            than the limit, or unreadable.
+        RenetError: There is no such file, it is not a regular one (a folder, device, pipe or
+            socket), it is larger than the limit, or it cannot be read.
     """
     try:
         # Without O_NONBLOCK, opening a named pipe waits for its writer.
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
             _check_regular(os.fstat(file.fileno()), path, limit, what)
             return file.read(limit)
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the path.
+    except (OSError, ValueError) as error:
+        # A null byte in the path is a ValueError.
         raise RenetError(f"cannot read the {what} {path}: {reason(error)}") from error
 
 
 def parse_json(data: bytes | str, what: str) -> Any:
-    """Parse JSON; raises RenetError naming `what` if it is none or too deep."""
+    """Parse JSON.
+
+    Args:
+        data: The text.
+        what: Description of it for messages, such as "manifest bundle.json".
+
+    Raises:
+        RenetError: The text is not JSON, or is nested deeper than `MAX_DEPTH`.
+    """
     try:
         value = json.loads(data)
     except RecursionError as error:
         raise RenetError(f"the {what} is nested deeper than {MAX_DEPTH} levels") from error
     except ValueError as error:
         raise RenetError(f"the {what} is not JSON: {error}") from error
+    # Descend level by level until none is left.
     level = [value]
     for _ in range(MAX_DEPTH):
-        level = [
-            item
-            for outer in level
-            if isinstance(outer, dict | list)
-            for item in (outer.values() if isinstance(outer, dict) else outer)
-        ]
-        if not level:
+        next_level: list[Any] = []
+        for item in level:
+            if isinstance(item, dict):
+                next_level += item.values()
+            elif isinstance(item, list):
+                next_level += item
+        if not next_level:
             return value
+        level = next_level
     raise RenetError(f"the {what} is nested deeper than {MAX_DEPTH} levels")
 
 
@@ -68,10 +80,13 @@ def read_object(path: Path, what: str = "file", limit: int = MAX_JSON) -> dict[s
     """Read a JSON file that must hold an object.
 
     Args:
-        path: of the file. what: its name in messages. limit: most bytes it may have.
+        path: Path of the file.
+        what: Kind of the file for messages.
+        limit: Largest size, bytes.
 
     Raises:
-        RenetError: as `read_bytes`; or not JSON, nested deeper than `MAX_DEPTH`, or no object.
+        RenetError: The file cannot be read (see `read_bytes`), is not JSON, is nested deeper than
+            `MAX_DEPTH`, or holds no object.
     """
     value = parse_json(read_bytes(path, limit, what), f"{what} {path}")
     if not isinstance(value, dict):
@@ -80,10 +95,11 @@ def read_object(path: Path, what: str = "file", limit: int = MAX_JSON) -> dict[s
 
 
 def require_regular(path: Path, limit: int, what: str = "file") -> Path:
-    """The path of a regular file within `limit` bytes, for libraries that open it themselves.
+    """Return a path for a library that opens it itself.
 
     Raises:
-        RenetError: no such file, not a regular file, or larger than the limit.
+        RenetError: There is no such file, it is not a regular one, or it has more than `limit`
+            bytes.
     """
     try:
         _check_regular(path.stat(), path, limit, what)
@@ -93,6 +109,7 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
 
 
 def _check_regular(status: os.stat_result, path: Path, limit: int, what: str) -> None:
+    """Raise RenetError unless a file is regular and has at most `limit` bytes."""
     if not stat.S_ISREG(status.st_mode):
         raise RenetError(f"the {what} {path} is not a regular file")
     if status.st_size > limit:
@@ -106,7 +123,7 @@ def create(path: Path, what: str = "file") -> BinaryIO:
     """Create a file for writing, and its folder.
 
     Raises:
-        RenetError: there is something at `path`, be it a link, or it cannot be written.
+        RenetError: There is a file, folder or link at `path`, or it cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -116,7 +133,7 @@ def create(path: Path, what: str = "file") -> BinaryIO:
 
 
 def append(path: Path) -> TextIO:
-    """Open a text file, by lines, at its end; raises OSError for links and what is no file."""
+    """Open a text file for appending lines; raises OSError for links and other irregular files."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     file = open(os.open(path, flags, 0o666), "a", newline="", buffering=1)  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
@@ -126,12 +143,12 @@ def append(path: Path) -> TextIO:
 
 
 def write_atomically(path: Path, data: bytes, what: str = "file") -> None:
-    """Write beside a file's final place, flush to the disk and rename; makes its folder.
+    """Write a file beside its path, flush it to the disk, and rename it; creates its folder.
 
     A link at `path` is replaced, not followed.
 
     Raises:
-        RenetError: it cannot be written; what was at `path` is then unchanged.
+        RenetError: The file cannot be written; an earlier file at `path` is then unchanged.
     """
     try:
         temporary = temporary_path(path)
@@ -139,7 +156,8 @@ def write_atomically(path: Path, data: bytes, what: str = "file") -> None:
         try:
             write_new(temporary, data)
             os.replace(temporary, path)
-        finally:  # An interrupt, too, leaves nothing.
+        finally:
+            # An interrupt leaves no file behind either.
             temporary.unlink(missing_ok=True)
         sync(path.parent)
     except (OSError, ValueError) as error:
@@ -155,7 +173,7 @@ def write_new(path: Path, data: bytes) -> None:
 
 
 def remove(path: Path) -> None:
-    """Delete a file if there is one; raises RenetError where that cannot be done."""
+    """Delete a file if there is one; raises RenetError if it cannot be deleted."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
@@ -163,17 +181,17 @@ def remove(path: Path) -> None:
 
 
 def temporary_path(path: Path) -> Path:
-    """A hidden name beside a path that nobody can guess; `is_temporary` knows it."""
+    """Return a hidden path beside a path, with a random part that nobody can guess."""
     return path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
 
 
 def is_temporary(name: str) -> bool:
-    """Whether a file's or folder's name is one of `temporary_path`'s, left by a killed program."""
+    """Return True for names of `temporary_path`, which killed programs leave behind."""
     return re.fullmatch(r"\..+\.[0-9a-f]{16}\.partial", name) is not None
 
 
 def sync(folder: Path) -> None:
-    """Flush a folder's list of entries to the disk, where its file system can."""
+    """Flush a folder's list of entries to the disk, if its file system can."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
@@ -183,6 +201,6 @@ def sync(folder: Path) -> None:
 
 
 def _new(path: Path) -> int:
-    """A descriptor of a file that did not exist; O_EXCL refuses links, too."""
+    """Create a file and return its descriptor; O_EXCL refuses existing files and links."""
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     return os.open(path, flags, 0o666)

@@ -1,7 +1,7 @@
-"""Folders that renet owns: written whole, exchanged at once, deleted entry by entry.
+"""Folders that renet owns: they are written whole, exchanged at once, and deleted by entries.
 
-The caller lists a folder's entries: the names of regular files, relative to it. Anything else is
-foreign: it is never overwritten or deleted.
+Callers list the entries of a folder, which are the names of regular files relative to it. All other
+files in it are foreign: they are never overwritten or deleted.
 """
 
 import ctypes
@@ -16,8 +16,10 @@ from pathlib import Path, PurePosixPath
 from renet.errors import RenetError, reason
 from renet.files import is_temporary, sync, temporary_path, write_new
 
-AT_FDCWD, RENAME_NOREPLACE, RENAME_EXCHANGE = -100, 1, 2
-"""Constants of Linux, from <fcntl.h> and <linux/fs.h>."""
+# Constants of Linux, from <fcntl.h> and <linux/fs.h>.
+AT_FDCWD = -100
+RENAME_NOREPLACE = 1
+RENAME_EXCHANGE = 2
 UNSUPPORTED = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)
 """Errors of file systems that cannot exchange two names, such as NFS."""
 
@@ -25,21 +27,22 @@ UNSUPPORTED = (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP)
 def write_folder(
     path: Path, contents: Mapping[str, bytes], entries: Collection[str], what: str
 ) -> None:
-    """Write a folder beside its final place and exchange it with what is there.
+    """Write a folder beside its path, and exchange it with the present one.
 
-    A program that is killed leaves the folder as it was or as it is to be. Where the file system
-    cannot exchange names, the folder is for a moment at `PATH.earlier-…` instead.
+    A program that is killed leaves either the old or the new folder. If the file system cannot
+    exchange names, the old folder is at `PATH.earlier-…` for a moment.
 
     Args:
-        path: of the folder, which need not exist.
-        contents: bytes of its files, by their names relative to it.
-        entries: such names that the present folder may hold.
-        what: the folder is, for messages, such as "bundle".
+        path: Path of the folder, which need not exist.
+        contents: Bytes of its files, by their names relative to it.
+        entries: Names that the present folder may hold.
+        what: Kind of the folder for messages, such as "bundle".
 
     Raises:
-        RenetError: the present folder holds anything foreign, or it cannot be written.
+        RenetError: The present folder holds a foreign entry, or cannot be written.
     """
-    path = path.resolve()  # "." has no name to rename.
+    # The folder "." has no name that could be exchanged.
+    path = path.resolve()
     demand_own(path, entries, what)
     temporary = temporary_path(path)
     try:
@@ -52,14 +55,15 @@ def write_folder(
             sync(temporary)
             _exchange(temporary, path)
             sync(path.parent)
-        finally:  # Half of the new folder, or the old one.
+        finally:
+            # This is the old folder, or after an error part of the new one.
             remove_folder(temporary, {*contents, *entries})
     except OSError as error:
         raise RenetError(f"cannot write the {what} {path}: {reason(error)}") from error
 
 
 def demand_own(path: Path, entries: Collection[str], what: str) -> None:
-    """Raise RenetError unless nothing is at a path, or a folder without foreign entries."""
+    """Raise RenetError unless a path does not exist, or is a folder without foreign entries."""
     if path.is_symlink() or (path.exists() and not path.is_dir()):
         raise RenetError(f"{path} exists and is not a {what}: choose another folder")
     entry = foreign(path, entries)
@@ -70,13 +74,17 @@ def demand_own(path: Path, entries: Collection[str], what: str) -> None:
 
 
 def foreign(folder: Path, entries: Collection[str]) -> str | None:
-    """The first foreign entry of a folder, relative to it; None without any."""
-    parents = {str(parent) for name in entries for parent in PurePosixPath(name).parents}
+    """Return the first foreign entry of a folder, relative to it; None if there is none."""
+    parents: set[str] = set()
+    for name in entries:
+        parents.update(map(str, PurePosixPath(name).parents))
     folders = [folder] if folder.exists() else []
     try:
-        while folders:  # Only those that may be there are entered: `folder` may be a whole disk.
+        # Only parents of entries are searched, because `folder` may be a whole disk.
+        while folders:
             for path in sorted(folders.pop().iterdir()):
-                name, mode = path.relative_to(folder).as_posix(), path.lstat().st_mode
+                name = path.relative_to(folder).as_posix()
+                mode = path.lstat().st_mode
                 if stat.S_ISDIR(mode) and name in parents:
                     folders.append(path)
                 elif not (stat.S_ISREG(mode) and (name in entries or is_temporary(path.name))):
@@ -87,15 +95,19 @@ def foreign(folder: Path, entries: Collection[str]) -> str | None:
 
 
 def remove_folder(folder: Path, entries: Collection[str]) -> None:
-    """Delete a folder that holds its own entries alone, if there is one; one with others stays.
+    """Delete a folder without foreign entries, if it exists.
 
     Raises:
-        RenetError: it holds a foreign entry, or cannot be deleted.
+        RenetError: The folder holds a foreign entry, and stays, or it cannot be deleted.
     """
     demand_own(folder, entries, "folder that renet may delete")
     try:
-        for path in sorted(folder.rglob("*"), reverse=True):  # What a folder holds comes first.
-            path.rmdir() if path.is_dir() else path.unlink()
+        # In reverse order the contents of a folder come before the folder.
+        for path in sorted(folder.rglob("*"), reverse=True):
+            if path.is_dir():
+                path.rmdir()
+            else:
+                path.unlink()
         if folder.exists():
             folder.rmdir()
     except OSError as error:
@@ -103,14 +115,14 @@ def remove_folder(folder: Path, entries: Collection[str]) -> None:
 
 
 def new_folder(path: Path) -> Path:
-    """Make a folder and its parents; raises OSError, such as FileExistsError."""
+    """Create a folder and its parents; raises OSError, such as FileExistsError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.mkdir()
     return path
 
 
 def move(source: Path, target: Path) -> None:
-    """Rename a file or folder; raises OSError where there is something at `target`."""
+    """Rename a file or folder; raises OSError if `target` exists."""
     try:
         _rename(source, target, RENAME_NOREPLACE)
     except OSError as error:
@@ -121,12 +133,12 @@ def move(source: Path, target: Path) -> None:
 
 @contextmanager
 def lock(folder: Path) -> Iterator[None]:
-    """Make a folder and keep other programs that lock it out; the kernel unlocks it at the end.
+    """Context in which no other program can lock a folder, which is created.
 
-    Folders that it made, parents too, and that are still empty then are removed.
+    Folders that it creates, also parents, are removed at the end if they are still empty.
 
     Raises:
-        RenetError: another program holds it, or it cannot be made.
+        RenetError: Another program has locked the folder, or it cannot be created.
     """
     try:
         made = [path for path in (folder, *folder.parents) if not path.exists()]
@@ -142,7 +154,8 @@ def lock(folder: Path) -> Iterator[None]:
                 f"another program writes to {folder}: wait for it, or choose another folder"
             ) from error
         except OSError:
-            pass  # A file system without locks.
+            # The file system has no locks.
+            pass
         try:
             yield
         finally:
@@ -154,7 +167,7 @@ def lock(folder: Path) -> Iterator[None]:
 
 
 def _exchange(new: Path, final: Path) -> None:
-    """Put one folder in another's place, at which nothing may be; the other is then at `new`."""
+    """Exchange two folders; if there is none at `final`, move the new one there."""
     if not final.exists():
         move(new, final)
         return
@@ -170,8 +183,10 @@ def _exchange(new: Path, final: Path) -> None:
 
 
 def _rename(source: Path, target: Path, flags: int) -> None:
+    """Rename by Linux's `renameat2`; raises OSError."""
     renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if renameat2 is None:  # The C library is older than 2018.
+    # C libraries before 2018 lack it.
+    if renameat2 is None:
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
     if renameat2(AT_FDCWD, os.fsencode(source), AT_FDCWD, os.fsencode(target), flags):
         number = ctypes.get_errno()

@@ -1,4 +1,4 @@
-"""Motors of a robot as they were measured: the file that `renet identify` writes.
+"""Measured motors of a robot, and the file in which `renet identify` writes them.
 
 Simulators read it, so it needs neither PyTorch nor MuJoCo. The file is JSON:
 
@@ -24,29 +24,29 @@ from renet.errors import RenetError
 from renet.files import read_object, write_atomically
 from renet.interface import JOINTS
 
-FORMAT = "renet motors"
+MOTORS_FORMAT = "renet motors"
+"""Name of the format in a file."""
 SCHEMA = 1
 """Version of the files that renet writes and reads."""
 REMEDY = "mend the file, or measure anew with `renet identify`"
 """Advice on a file that cannot be used."""
 KINDS = ("hip", "thigh", "calf")
-"""Kinds of joints, each with motors alike."""
+"""Kinds of joints, each with motors of one kind."""
 
 
 def joint_kind(joint: str) -> str:
-    """Kind of a joint of `interface.JOINTS`: hip, thigh or calf."""
+    """Return the kind of a joint of `interface.JOINTS`: hip, thigh or calf."""
     return joint.split("_")[1]
 
 
 @dataclass(frozen=True)
 class MotorParameters:
-    """What one motor adds to its joint, beside the servo that it is told (Kp, Kd)."""
+    """Parameters that a motor adds to its joint, besides the servo's Kp and Kd."""
 
     armature: float
     """Reflected inertia of the rotor, kg m^2; MuJoCo's joint `armature`."""
     damping: float
-    """Viscous friction, N m s/rad, on top of the Kd that the servo is told; MuJoCo's joint
-    `damping`."""
+    """Viscous friction in addition to the servo's Kd, N m s/rad; MuJoCo's joint `damping`."""
     friction: float
     """Dry friction, N m; MuJoCo's joint `frictionloss`."""
     delay: float
@@ -56,7 +56,7 @@ class MotorParameters:
 PARAMETERS = tuple(item.name for item in fields(MotorParameters))
 """Names of the parameters: armature, damping, friction, delay."""
 LARGEST = MotorParameters(armature=10.0, damping=100.0, friction=100.0, delay=1.0)
-"""Largest values that a file may hold: no quadruped's motor comes near."""
+"""Largest values in a file, far above those of any quadruped's motors."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class MotorFit:
     """Measured motors of one robot.
 
     Raises:
-        RenetError: a motor of no known name, a joint without a motor, or a value that no motor has.
+        RenetError: A motor has an unknown name, a joint has no motor, or a value is implausible.
     """
 
     robot: str
@@ -72,7 +72,8 @@ class MotorFit:
     motors: Mapping[str, MotorParameters]
     """Parameters by kind of joint (hip, thigh, calf), by joint of `interface.JOINTS`, or both."""
     evidence: Mapping[str, Any] = field(default_factory=dict)
-    """How they were measured: log, errors, uncertainty; JSON values that simulators ignore."""
+    """Description of the measurement: log, errors, uncertainty; JSON values, which simulators
+    ignore."""
 
     def __post_init__(self) -> None:
         for name, motor in self.motors.items():
@@ -87,11 +88,11 @@ class MotorFit:
                 raise RenetError(f"there is no motor for {joint}: add {joint_kind(joint)!r}")
 
     def of(self, joint: str) -> MotorParameters:
-        """Parameters of a joint of `interface.JOINTS`."""
+        """Return the parameters of a joint of `interface.JOINTS`."""
         return self.motors[joint if joint in self.motors else joint_kind(joint)]
 
     def array(self, parameter: str) -> np.ndarray:
-        """One of `PARAMETERS` for every joint, [12] in the order of `interface.JOINTS`."""
+        """Return one of `PARAMETERS` for all joints, [12] in the order of `interface.JOINTS`."""
         return np.array([getattr(self.of(joint), parameter) for joint in JOINTS])
 
 
@@ -111,15 +112,18 @@ def read_motors(path: Path, robot: str | None = None) -> MotorFit:
     """Read a file of `write_motors`.
 
     Args:
-        path: of the file. robot: name of the robot that the motors must be of; None takes any.
+        path: Path of the file.
+        robot: Name of the robot that the motors must belong to; None for any.
 
     Raises:
-        RenetError: unreadable, not such a file, of another version or robot, or with values that
-            no motor has.
+        RenetError: The file cannot be read, is of another kind, version or robot, or has
+            implausible values.
     """
     content = read_object(path, "motors")
-    if content.get("format") != FORMAT:
-        raise RenetError(f"{path} is not a file of `renet identify`: its format is not {FORMAT!r}")
+    if content.get("format") != MOTORS_FORMAT:
+        raise RenetError(
+            f"{path} is not a file of `renet identify`: its format is not {MOTORS_FORMAT!r}"
+        )
     if content.get("schema") != SCHEMA:
         raise RenetError(
             f"{path} has schema {str(content.get('schema'))[:40]}; this renet reads {SCHEMA}"
@@ -142,7 +146,7 @@ def read_motors(path: Path, robot: str | None = None) -> MotorFit:
 def write_motors(path: Path, fit: MotorFit) -> None:
     """Write measured motors as JSON; raises RenetError if the file cannot be written."""
     content = {
-        "format": FORMAT,
+        "format": MOTORS_FORMAT,
         "schema": SCHEMA,
         "robot": fit.robot,
         "motors": {name: asdict(motor) for name, motor in fit.motors.items()},

@@ -77,29 +77,36 @@ class UsualOptions(TrainOptions):
 
     @staticmethod
     def known(arguments: Sequence[str]) -> list[str]:
-        """The arguments without a task's settings; raises RenetError for an unknown option."""
-        names = [f"--{field.name.replace('_', '-')}" for field in fields(UsualOptions)]
-        kept, setting = [], False
+        """Return the arguments without a task's settings.
+
+        Raises:
+            RenetError: There is no such option.
+        """
+        # The first field is the task, which is positional.
+        options = [f"--{field.name.replace('_', '-')}" for field in fields(UsualOptions)[1:]]
+        options += ["--help", "--help-all"]
+        kept = []
+        is_setting = False
         for argument in arguments:
+            # Arguments that follow an option are its values.
             if argument.startswith("--"):
                 name = argument.partition("=")[0]
-                setting = name.startswith(SETTINGS)
-                if not setting:
-                    demand_name(
-                        "option", name.replace("_", "-"), [*names[1:], "--help", "--help-all"]
-                    )
-            if not setting:
+                is_setting = name.startswith(SETTINGS)
+                if not is_setting:
+                    demand_name("option", name.replace("_", "-"), options)
+            if not is_setting:
                 kept.append(argument)
         return kept
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> "UsualOptions":
-        """What a command line starts from: a run that goes on, or a file, has a task of its own."""
+        """Return the options that a command line changes."""
         named = {argument.partition("=")[0] for argument in arguments}
+        # A resumed run, or a file, states the task, which need not be on the command line then.
         return cls(task="" if named & {"--resume", "--config"} else tyro.MISSING)
 
     def check(self) -> None:
-        """Raise RenetError for what no task and no computer takes."""
+        """Raise RenetError for options that are wrong for any task and any computer."""
         task = self.task
         if self.config is not None:
             if self.resume is not None:
@@ -123,7 +130,7 @@ class UsualOptions(TrainOptions):
 
 
 def check_task(task: str) -> None:
-    """Raise RenetError for a task that nothing can have registered: neither renet nor a plug-in."""
+    """Raise RenetError for a task that neither renet nor a plug-in can have registered."""
     others = [plug_in for plug_in in entry_points(group=PLUG_INS) if plug_in.value != REGISTRY]
     # Once mjlab is loaded, a program may have registered a task by itself.
     if not (others or "mjlab" in sys.modules or task.startswith("Mjlab-")):
@@ -131,7 +138,16 @@ def check_task(task: str) -> None:
 
 
 def resumed_folder(resume: str, root: Path | None, task: str) -> Path:
-    """The folder that `--resume` names; raises RenetError if there is none."""
+    """Return the folder that `--resume` names.
+
+    Args:
+        resume: Value of the option: a folder, or latest.
+        root: Folder of all runs, by default `LOGS`.
+        task: Task whose newest run `latest` means.
+
+    Raises:
+        RenetError: There is no such folder.
+    """
     if resume == LATEST and not task:
         raise RenetError("write the task first: renet train TASK --resume latest")
     folder = (root or LOGS) / task if resume == LATEST else Path(resume)
@@ -141,7 +157,7 @@ def resumed_folder(resume: str, root: Path | None, task: str) -> Path:
 
 
 def seconds(text: str | None) -> float:
-    """Parse a duration such as 90s, 25m or 1.5h; a bare number is seconds, None endless."""
+    """Parse a duration such as 90s, 25m or 1.5h to s; a number alone is in s, None is infinite."""
     if text is None:
         return math.inf
     match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh]?)", text.strip())

@@ -3,16 +3,20 @@
 They are from Okabe and Ito's set, which colour-blind people can tell apart.
 """
 
-SEES, REMEMBERS, BLIND = "#0072b2", "#e69f00", "#8c4a8c"
-"""VP drives with images; VP drives from memory; OP drives."""
+SEES = "#0072b2"
+"""Colour of a robot that VP drives with images."""
+REMEMBERS = "#e69f00"
+"""Colour of a robot that VP drives from memory."""
+BLIND = "#8c4a8c"
+"""Colour of a robot that OP drives."""
 STATES = {
     "sees": (SEES, "sees (VP)"),
     "remembers": (REMEMBERS, "remembers (VP)"),
     "blind": (BLIND, "blind (OP)"),
 }
-"""Colour and legend of each of the selector's states."""
+"""Colour and legend of each state."""
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Red, green and blue of `#rrggbb`, 0 to 255."""
+    """Return red, green and blue of `#rrggbb`, from 0 to 255."""
     return tuple(bytes.fromhex(colour[1:]))  # type: ignore[return-value]

@@ -1,7 +1,8 @@
-"""The servers that renet starts: on this computer, for its own pages, without links or tunnels.
+"""Servers for this computer's own pages, without symbolic links and tunnels.
 
-A web page from anywhere may send requests to a server on loopback. What it cannot choose is the
-request's Origin, and what it reaches by a name of its own (DNS rebinding) has that name as Host.
+Any web page in a browser may send requests to a server on loopback. The page cannot choose the
+request's Origin, and if it reaches the server by a name of its own (DNS rebinding), the request has
+that name as its Host.
 """
 
 from __future__ import annotations
@@ -24,17 +25,20 @@ LOOPBACK = "127.0.0.1"
 
 
 def is_trusted(hosts: list[str], origins: list[str], address: str = LOOPBACK) -> bool:
-    """Whether a request comes from nobody's page or from one that the same server served.
+    """Return True for a request from no page, or from a page of the same server.
 
     Args:
-        hosts: its Host headers. origins: its Origin headers. address: at which the server listens.
+        hosts: Host headers of the request.
+        origins: Origin headers of the request.
+        address: Address at which the server listens.
     """
     if len(hosts) != 1:
         return False
     try:
         name = urlsplit(f"//{hosts[0]}").hostname or ""
         if name not in ("localhost", address):
-            number = ipaddress.ip_address(name)  # Which no name server can point elsewhere.
+            # A number, unlike a name, cannot be pointed elsewhere by a name server.
+            number = ipaddress.ip_address(name)
             if not (number.is_loopback or ipaddress.ip_address(address).is_unspecified):
                 return False
     except ValueError:
@@ -43,10 +47,14 @@ def is_trusted(hosts: list[str], origins: list[str], address: str = LOOPBACK) ->
 
 
 def serve_folder(folder: Path, port: int) -> ThreadingHTTPServer:
-    """A server of a folder's files on loopback, at any free port for 0.
+    """Build a server of a folder's files on loopback.
+
+    Args:
+        folder: The folder.
+        port: Port; 0 for any free one.
 
     Raises:
-        RenetError: the port is taken.
+        RenetError: The port is taken.
     """
     try:
         return ThreadingHTTPServer((LOOPBACK, port), partial(FolderHandler, directory=str(folder)))
@@ -55,7 +63,7 @@ def serve_folder(folder: Path, port: int) -> ThreadingHTTPServer:
 
 
 class FolderHandler(SimpleHTTPRequestHandler):
-    """Serves regular files with the types that browsers ask of modules and WebAssembly."""
+    """Handler of regular files, with the types that browsers require of modules and WebAssembly."""
 
     extensions_map = {  # noqa: RUF012
         **SimpleHTTPRequestHandler.extensions_map,
@@ -65,18 +73,21 @@ class FolderHandler(SimpleHTTPRequestHandler):
     }
 
     def send_head(self) -> Any:
-        """Refuse requests of other pages, links, and what is no regular file."""
+        """Refuse requests from other pages, and for anything but regular files."""
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if not is_trusted(hosts, origins):
             return self.send_error(HTTPStatus.FORBIDDEN)
-        root, path = Path(self.directory), Path(self.translate_path(self.path))
-        path = path / "index.html" if path.is_dir() else path
+        root = Path(self.directory)
+        path = Path(self.translate_path(self.path))
+        if path.is_dir():
+            path = path / "index.html"
+        # A link below the folder resolves to another path.
         if not path.is_file() or path.resolve() != root.resolve() / path.relative_to(root):
             return self.send_error(HTTPStatus.NOT_FOUND)
         return super().send_head()
 
     def handle(self) -> None:
-        """Serve; a visitor who leaves before a file has arrived is no error."""
+        """Serve a connection; it is no error if a visitor leaves before a file has arrived."""
         with suppress(ConnectionError):
             super().handle()
 
@@ -85,13 +96,14 @@ class FolderHandler(SimpleHTTPRequestHandler):
 
 
 def serve_scene(address: str, port: int = 8080) -> viser.ViserServer:
-    """A viser server that answers its own page alone and opens no tunnel to the internet.
+    """Build a viser server that answers its own page alone and opens no tunnel to the internet.
 
     Args:
-        address: of this computer, at which it listens. port: the first to try; 0 is any free one.
+        address: Address of this computer at which it listens.
+        port: First port to try; 0 for any free one.
 
     Raises:
-        RenetError: mjviser is not installed, or its viser does not listen as this one knows.
+        RenetError: mjviser is not installed, or this version of viser cannot be guarded.
     """
     try:
         import mjviser  # noqa: F401
@@ -100,7 +112,8 @@ def serve_scene(address: str, port: int = 8080) -> viser.ViserServer:
         from websockets.asyncio import server as websockets
     except ModuleNotFoundError as error:
         raise RenetError(f"--viewer needs {error.name}: pip install mjviser") from error
-    real, guards = websockets.serve, []
+    real = websockets.serve
+    guards = []
 
     def serve(*arguments: Any, process_request: Any, **options: Any) -> Any:
         def guard(connection: Any, request: Any) -> Any:
@@ -112,11 +125,13 @@ def serve_scene(address: str, port: int = 8080) -> viser.ViserServer:
         guards.append(guard)
         return real(*arguments, process_request=guard, **options)
 
-    websockets.serve = serve  # viser has no other way to see a request before it is answered.
+    # viser has no other way to see a request before it is answered.
+    websockets.serve = serve
     try:
         server = viser.ViserServer(address, port)
     finally:
         websockets.serve = real
+    # A version of viser that serves in another way has not called `serve`.
     if not guards:
         server.stop()
         raise RenetError(f"--viewer cannot guard viser {viser.__version__}: install viser 1.1.1")

@@ -1,4 +1,4 @@
-"""Progress bars, tables, and lines that a thread prints, so that no terminal stalls a robot."""
+"""Progress bars, tables, and lines printed by a thread, so that a terminal cannot stall a robot."""
 
 import sys
 import threading
@@ -14,44 +14,44 @@ from rich.table import Table
 
 from renet.errors import printable
 
-Step = TypeVar("Step")
+_Step = TypeVar("_Step")
 MAX_WAITING = 1000
-"""Lines that wait for a stalled terminal; later ones are dropped."""
+"""Largest number of lines that wait for a stalled terminal; later ones are dropped."""
 ERASE = "\r\x1b[K"
-"""Goes to the start of the line and empties it."""
+"""Escape sequence that clears the current line."""
 
 
 class Terminal:
-    """Prints lines in order, on a thread, and keeps one line of status below them.
+    """Printer of lines on a thread, with a line of status below them.
 
-    `logging.handlers.QueueListener` would do, but its `stop` waits for a hung terminal.
+    `logging.handlers.QueueListener` would do the same, but its `stop` waits for a hung terminal.
     """
 
     def __init__(self) -> None:
         self._lines: Queue[str | None] = Queue(MAX_WAITING)
         self._status = ""
-        # A file or a pipe would fill with what only an eye on it reads.
+        # In a file or a pipe, a status that is redrawn all the time would be noise.
         self._draws = sys.stdout is not None and sys.stdout.isatty()
         self._thread = threading.Thread(target=self._print, daemon=True)
         self._thread.start()
 
     def say(self, line: str) -> None:
-        """Print a line soon."""
+        """Print a line as soon as the terminal takes it."""
         with suppress(Full):
             self._lines.put_nowait(f"{printable(line)}\n")
 
     def status(self, line: str) -> None:
-        """Show a line below all others in place of the last one; on a terminal alone."""
+        """Replace the line of status, which only a terminal shows."""
         if not self._draws:
             return
         self._status = printable(line)
-        # A terminal that stalls is not to be given more and more of them.
+        # An empty line redraws the status. A stalled terminal gets no more of them.
         if self._lines.empty():
             with suppress(Full):
                 self._lines.put_nowait("")
 
     def close(self) -> None:
-        """Print the lines that wait; give up after a second if the terminal hangs."""
+        """Print all waiting lines, and stop; gives up after a second if the terminal hangs."""
         self._status = ""
         with suppress(Full):
             self._lines.put("", timeout=1.0)
@@ -59,6 +59,7 @@ class Terminal:
         self._thread.join(timeout=1.0)
 
     def _print(self) -> None:
+        """Print lines until `close` ends the thread."""
         while (line := self._lines.get()) is not None:
             text = line
             if self._draws:
@@ -66,18 +67,20 @@ class Terminal:
                 text = f"{ERASE}{line}{self._status[:width]}"
             try:
                 print(encodable(text), end="", flush=True)
-            except (OSError, ValueError):  # The terminal is gone, or closed.
+            except (OSError, ValueError):
+                # The terminal is gone, or standard output is closed.
                 return
 
 
 def encodable(text: str) -> str:
-    """A text without what standard output cannot encode, such as ° in a terminal of ASCII."""
+    """Replace characters that standard output cannot encode, such as ° in a terminal of ASCII."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     return text.encode(encoding, "replace").decode(encoding)
 
 
 def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Print a table on standard output, without markup: a bundle's texts are not trusted."""
+    """Print a table on standard output, with a title and a header above its rows."""
+    # Without markup, because cells may hold a stranger's texts.
     table = Table(*header, title=printable(title), title_justify="left", title_style="bold")
     for row in rows:
         table.add_row(*(printable(str(cell)) for cell in row))
@@ -85,24 +88,25 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> No
 
 
 Listener = Callable[[str, int, int], None]
-"""Takes a title, the steps done and the number of all."""
+"""Function of a title, the number of steps done, and the number of all steps."""
 _listener: Listener | None = None
 
 
 def tell_progress(listener: Listener) -> None:
-    """Let `progress` tell a listener from now on, instead of showing bars."""
+    """Make `progress` call a listener from now on, instead of showing bars."""
     global _listener
     _listener = listener
 
 
-def progress(steps: Sequence[Step], title: str) -> Iterable[Step]:
-    """Yield the steps, with a bar on standard error that shows the time left."""
+def progress(steps: Sequence[_Step], title: str) -> Iterable[_Step]:
+    """Iterate over steps, with a bar on standard error that shows the time left."""
     if _listener is not None:
         return _told(steps, title, _listener)
     return track(steps, f"{title:<24}", console=Console(stderr=True))
 
 
-def _told(steps: Sequence[Step], title: str, listener: Listener) -> Iterator[Step]:
+def _told(steps: Sequence[_Step], title: str, listener: Listener) -> Iterator[_Step]:
+    """Iterate over steps, and call a listener before each."""
     for done, step in enumerate(steps):
         listener(title, done, len(steps))
         yield step

@@ -1,4 +1,4 @@
-"""The version of the running code, for checkpoints and results."""
+"""Version of the running code, for checkpoints and results."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ CHECKOUT = Path(__file__).parents[2]
 
 
 def commit() -> str | None:
-    """The clone's commit, 12 digits, `+changed` if it is edited; None without a clone."""
+    """Return the clone's commit, 12 digits, `+changed` if files differ; None without a clone."""
     git = ["git", "-C", str(CHECKOUT), "describe", "--always", "--dirty=+changed", "--abbrev=12"]
+    # A repository around an installed package is another project's.
     if not (CHECKOUT / ".git").exists():
-        return None  # An installed package: a repository around it is another project's.
+        return None
     try:
         result = subprocess.run(git, capture_output=True, text=True, timeout=5, check=True)
     except (OSError, subprocess.SubprocessError):
@@ -24,6 +25,6 @@ def commit() -> str | None:
 
 
 def code_version() -> str:
-    """Version of renet, with the commit if there is one, such as "0.1.0 (1f2e3d4c5b6a)"."""
+    """Return the version, with the commit if there is one, such as "0.1.0 (1f2e3d4c5b6a)"."""
     revision = commit()
     return f"{__version__} ({revision})" if revision else __version__

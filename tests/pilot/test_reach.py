@@ -13,7 +13,7 @@ from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.pilot import Pilot
 from renet.pilot.policy import BundlePolicy
-from renet.pilot.reach import HALF_WIDTH, MARGIN, Reach, direction_of, slowed
+from renet.pilot.reach import HALF_WIDTH, STOPPING_MARGIN, Reach, direction_of, slowed
 
 WALKS = np.load(Path(__file__).with_name("data") / "walks.npz")
 """Recorded walks, see test_pilot."""
@@ -121,7 +121,7 @@ def test_conduct_at_the_end_of_seen_ground(conduct, speed):
     walked = 0.5 * (first - 50) * CONTROL_DT
     assert unseen.any()
     # Memory reaches 1.2 m.
-    assert 1.2 - MARGIN - 0.1 <= walked <= 1.2 - MARGIN + 0.15
+    assert 1.2 - STOPPING_MARGIN - 0.1 <= walked <= 1.2 - STOPPING_MARGIN + 0.15
     assert (speeds[:first] == 0.5).all()
     assert speeds[first:] == pytest.approx(speed)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from renet.terrain.course import (
-    BEFORE,
+    GROUND_BEFORE,
     OBSTACLES,
     PIT_DEPTH,
     WIDTH,
@@ -42,7 +42,7 @@ def heights(course, positions, aside=0.0):
     model, data = scene(course)
     found = []
     for position in positions:
-        above = np.array([BEFORE + position, WIDTH / 2 + aside, 9.0])
+        above = np.array([GROUND_BEFORE + position, WIDTH / 2 + aside, 9.0])
         ray = np.array([0.0, 0.0, -1.0])
         far = mujoco.mj_ray(model, data, above, ray, None, 1, -1, np.zeros(1, np.int32))
         found.append(9.0 - far)
@@ -51,7 +51,7 @@ def heights(course, positions, aside=0.0):
 
 def test_obstacles_follow_one_another():
     np.testing.assert_allclose(COURSE.edges, [(2.0, 2.6), (3.6, 4.8), (5.3, 6.05)])
-    assert COURSE.length == pytest.approx(BEFORE + 6.05 + 2.5)
+    assert COURSE.length == pytest.approx(GROUND_BEFORE + 6.05 + 2.5)
 
 
 def test_heights_add_up():
@@ -99,7 +99,7 @@ def test_only_what_stands_on_the_ground_can_be_glass():
     model, _ = scene(Course(obstacles=(Gap(0.5), UP), spaces=(1.0, 1.0)))
     glass = model.geom_group == OBSTACLE_GROUP
     assert glass.sum() == UP.steps
-    assert (model.geom_pos[glass, 0] > BEFORE + 2.5).all()
+    assert (model.geom_pos[glass, 0] > GROUND_BEFORE + 2.5).all()
 
 
 def test_every_kind_says_what_it_is():

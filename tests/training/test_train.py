@@ -108,7 +108,7 @@ def test_resumed_run_keeps_options(finished, tmp_path, capsys, monkeypatch):
 )
 def test_iterations_are_described(robots, fixed, line):
     agent = replace(TrainCfg.from_task(TASK).agent, num_steps_per_env=fixed)
-    said = training.iterations(agent, robots, 0)
+    said = training.describe_iterations(agent, robots, 0)
     assert said.startswith(f"Each robot takes {line}")
     assert ("the most" in said) == ("the most" in line)
 

@@ -46,7 +46,7 @@ from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.motor_models import NetworkActuator
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.sensors import DEPTH_CAMERA
-from renet.tasks.terrains import UNSEEN, parkour_terrain, tile_row
+from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain, tile_row
 
 _NEVER = 1e9
 """Time longer than any run, s."""
@@ -87,7 +87,7 @@ def terrain_env_cfg(
     if isinstance(terrain, TerrainEntityCfg):
         tiles = terrain
     elif isinstance(terrain, str):
-        tiles = parkour_terrain(UNSEEN)
+        tiles = parkour_terrain(EVALUATION_SEED)
     else:
         tiles = tile_row(terrain)
     return tile_env_cfg(tiles, play=True, robot=robot)

@@ -1,11 +1,11 @@
-"""The newest depth images of N robots, and how old they are."""
+"""Newest depth images of N robots, and their ages."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 OLDEST = 1e3
-"""Age in seconds of an image that never came."""
+"""Largest age of an image, s, and that of one that never came."""
 
 
 @dataclass(frozen=True)
@@ -13,19 +13,19 @@ class Images:
     """The newest images that N cameras have delivered by a control step."""
 
     image: np.ndarray | None
-    """[N, 48, 64] planar depth divided by the range, in [0, 1]; None before the first."""
+    """Planar depth divided by the range, [N, 48, 64] in [0, 1]; None before the first image."""
     fresh: np.ndarray
-    """[N] bool: delivered since the last control step."""
+    """True for images delivered since the last control step, [N] bool."""
     age: np.ndarray
-    """[N] seconds since it was taken."""
+    """Time since the image was taken, [N] s."""
     invalid: np.ndarray
-    """[N] share of its pixels without a measurement, before holes were filled."""
+    """Share of its pixels without a measurement, before holes were filled, [N]."""
     broken: np.ndarray | bool = False
-    """[N] bool: what the camera delivered last cannot be read, and its score is infinite."""
+    """True where the newest image cannot be read, so that its score is infinite, [N] bool."""
 
 
 class ImageHolder:
-    """Keeps the newest image of cameras that all deliver at once."""
+    """Newest image of N cameras that all deliver at the same time."""
 
     def __init__(self, num_robots: int) -> None:
         self._image: np.ndarray | None = None
@@ -33,12 +33,17 @@ class ImageHolder:
         self._num_robots = num_robots
 
     def hold(self, image: np.ndarray | None, now: float) -> Images:
-        """The newest images at `now`, s, where `image` [N, 48, 64] has just been taken, if any."""
+        """Keep an image, and return the newest images.
+
+        Args:
+            image: Images that have just been taken, [N, 48, 64]; None if there are none.
+            now: Time on any clock, s.
+        """
         robots = self._num_robots
         if image is not None:
             self._image = image
             self._taken = now
-        # After a clock's jump back, the seconds until then.
+        # The clock may have jumped back to before the image was taken.
         age = min(abs(now - self._taken), OLDEST)
         return Images(
             image=self._image,

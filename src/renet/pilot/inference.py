@@ -1,9 +1,9 @@
-"""Where the 10 Hz tick runs: in line, or on a second thread that the control loop never waits for.
+"""Inference of the 10 Hz tick, in line or on a second thread.
 
-The loop gives the thread a few milliseconds, in which it is usually done: then a live robot acts
-on exactly what training acted on. A result that is late is used one or more control steps later; a
-tick that failed or is stuck at the next one costs vision, not the robot: that next tick runs in
-line, blind, and the selector falls back to OP.
+The control loop waits a few milliseconds for the thread, which is usually done by then: the robot
+then acts on the same estimates as in training. A late result is used one or more control steps
+later. If a tick has failed, or is not done when the next one is due, the robot loses vision but
+walks on: the next tick runs in line without an image, and the selector falls back to OP.
 """
 
 import threading
@@ -15,35 +15,35 @@ from renet.pilot.tick import EstimatorInput, EstimatorOutput, Sessions, infer
 
 
 class InlineInference:
-    """Every tick is done when it was begun: the same result in every run."""
+    """Inference on the calling thread, with the same result in every run."""
 
     def __init__(self, sessions: Sessions) -> None:
         self._sessions = sessions
         self._output: EstimatorOutput | None = None
 
     def ready(self) -> bool:
-        """Whether `begin` may be called; called once at every tick."""
+        """Return True if `begin` may be called; called once at each tick."""
         return True
 
     def begin(self, inputs: EstimatorInput) -> None:
-        """Start a tick."""
+        """Run a tick."""
         self._output = infer(self._sessions, inputs)
 
     def take(self) -> EstimatorOutput | None:
-        """The tick's result, once; None if there is none yet."""
+        """Return the tick's result once; None if there is none yet."""
         output = self._output
         self._output = None
         return output
 
     def close(self) -> None:
-        """Stop; safe to call twice."""
+        """Stop inference; safe to call twice."""
 
 
 class ThreadedInference(InlineInference):
-    """Ticks on a daemon thread, which survives those that fail."""
+    """Inference on a daemon thread, which survives ticks that fail."""
 
     patience = 0.008
-    """Seconds that `take` waits in the step that began a tick."""
+    """Longest time that `take` waits in the step that began a tick, s."""
 
     def __init__(self, sessions: Sessions) -> None:
         super().__init__(sessions)
@@ -51,16 +51,16 @@ class ThreadedInference(InlineInference):
         self._jobs: SimpleQueue[tuple[EstimatorInput, Future[EstimatorOutput]] | None]
         self._jobs = SimpleQueue()
         self._tick: Future[EstimatorOutput] | None = None
-        """The newest tick, as long as its result was not taken."""
+        """Newest tick, until its result is taken."""
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
     def ready(self) -> bool:
-        """False if the last tick failed or was late: the policy goes on without its result."""
+        """Return False if the last tick failed or was late: the policy continues without it."""
         if self._tick is None:
             return True
-        # A result that nobody took is late even if it is here by now, unless the tick that it was
-        # for has been made up for already.
+        # A result that was not taken in time is late, even if it is here by now. The deadline is
+        # zero if a tick in line has replaced it already.
         late = self._deadline > 0.0
         self._deadline = 0.0
         done = self._tick.done()
@@ -75,12 +75,13 @@ class ThreadedInference(InlineInference):
         self._jobs.put((inputs, self._tick))
 
     def take(self) -> EstimatorOutput | None:
-        """The tick's result, once, or None; waits at most for the rest of `patience`."""
+        """Return the tick's result once, or None; waits for at most the rest of `patience`."""
         if self._tick is None or self._deadline == 0.0:
             return None
         try:
             output = self._tick.result(max(self._deadline - time.monotonic(), 0.0))
-        except (TimeoutError, CancelledError):  # `ready` says so before the next tick.
+        except (TimeoutError, CancelledError):
+            # `ready` reports this before the next tick.
             return None
         self._tick = None
         return output
@@ -91,9 +92,11 @@ class ThreadedInference(InlineInference):
         self._thread.join(timeout=1.0)
 
     def _work(self) -> None:
+        """Run ticks until `close` ends the thread."""
         while (job := self._jobs.get()) is not None:
             inputs, tick = job
             try:
                 tick.set_result(infer(self._sessions, inputs))
-            except BaseException:  # To have no result is its report.
+            except BaseException:
+                # `take` and `ready` find a tick without a result.
                 tick.cancel()

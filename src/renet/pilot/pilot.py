@@ -1,14 +1,14 @@
-"""The pilot of one robot or N: which estimator drives, and where to each joint is to go.
+"""Pilot of N robots: choice of the estimator that drives, and joint targets.
 
-One control step, 50 times a second, is:
+A control step, 50 times a second, consists of:
 
-1. `act`. Every fifth step is a tick, 10 times a second: the monitors look at the newest image and
-   the gate withholds a bad one, then vision and both estimators run. In every step the actor runs
-   on the latent of the estimator that drives: VP's, which uses the camera or its memory of the
-   ground, or OP's, which does not.
+1. `act`. Every fifth step is a tick, 10 times a second: monitors judge the newest image, the gate
+   withholds a bad one, and vision and both estimators run. In every step the actor runs on the
+   latent of the estimator that drives: that of VP, which uses the camera or its memory of the
+   ground, or that of OP, which is blind.
 2. `judge`. Monitors and filter decide which estimator drives the next step.
 
-The mode of a robot says who decides:
+The mode of a robot says how this is decided:
 
 | mode | VP drives | images |
 |---|---|---|
@@ -37,17 +37,20 @@ from renet.interface import (
 )
 from renet.pilot.images import ImageHolder, Images
 from renet.pilot.policy import BundlePolicy, Policy, checked, checked_depth
-from renet.pilot.reach import MARGIN, SPEEDS, UNSEEN, Reach, can_stop, direction_of, slowed
+from renet.pilot.reach import SPEEDS, STOPPING_MARGIN, UNSEEN, Reach, can_stop, direction_of, slowed
 from renet.selector import make_selector
 from renet.selector.monitors import Gate, SelectorInput
 from renet.selector.selector import BLIND, SEES, SELECTORS
 
 PILOT_MODES = get_args(PilotMode)
-COMMAND = proprioception_slices()["command"]
+COMMAND_SLICE = proprioception_slices()["command"]
+"""Slice of the command in an observation."""
 TURN_RATE = proprioception_slices()["base_angular_velocity"].stop - 1
-"""Place of the base's turn rate in an observation."""
+"""Index of the base's turn rate in an observation."""
 TURN_RATE_SCALE = PROPRIOCEPTION[0].scale
+"""Scale of the turn rate in an observation."""
 NO_NUMBERS = "what the VP estimator found is not finite"
+"""Reason of a robot whose VP has results that are not finite."""
 
 
 @dataclass(frozen=True)
@@ -55,25 +58,28 @@ class Step:
     """Results of one control step."""
 
     joint_target: np.ndarray
-    """[N, 12] rad, in the order of `interface.JOINTS`."""
+    """Joint targets in the order of `interface.JOINTS`, [N, 12] rad."""
     action: np.ndarray
-    """[N, 12] policy units; the next observation holds it as the last action."""
+    """Actions in policy units, [N, 12]; the next observation holds them as the last action."""
     vision: np.ndarray
-    """[N] bool: VP drove this step."""
+    """True where VP drove this step, [N] bool."""
     state: np.ndarray
-    """[N] `sees`, `remembers` (VP drives without images) or `blind` (OP drives), from now on."""
+    """State of each robot from now on, [N]: `sees`, `remembers` (VP drives without images) or
+    `blind` (OP drives)."""
     reason: np.ndarray
-    """[N] objection of the first monitor since the robot saw, in words; empty while it sees."""
+    """Reason of the first monitor that objected since the robot saw, [N] text; empty while it
+    sees."""
     unseen: np.ndarray
-    """[N] bool: the ground that the robot is told to walk on next lies beyond what it has seen."""
+    """True where the command leads to ground that the robot has not seen, [N] bool."""
     inferred: bool
-    """The result of a tick of vision was taken over in this step."""
+    """True if this step received the result of a tick."""
     fallback: bool
-    """The tick of this step ran blind and in line, because the one before was late."""
+    """True if the tick of this step ran in line without an image, because the one before was
+    late."""
 
 
 class Selector(Protocol):
-    """Judges the vision of N robots: `renet.selector.selector.MonitorSelector` is one."""
+    """Interface of selectors, such as `renet.selector.selector.MonitorSelector`."""
 
     @property
     def probability(self) -> np.ndarray:
@@ -81,22 +87,22 @@ class Selector(Protocol):
         ...
 
     def look(self, seen: SelectorInput) -> Gate | None:
-        """Judge the images of a tick before vision runs; None: VP may use all of them."""
+        """Judge the images of a tick before vision runs; None means that VP may use all."""
         ...
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
-        """Whether VP may drive, [N] bool, by what is known of vision `now`, s."""
+        """Return a mask of robots that VP may drive, [N] bool, at the time `now`, s."""
         ...
 
     def distrust(self, mask: np.ndarray, reason: str) -> None:
-        """Let OP drive the masked robots [N] at once, for a reason."""
+        """Let OP drive the masked robots, [N] bool, at once, for a reason."""
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Trust vision and forget the past of the masked robots [N], of all by default."""
+        """Trust vision and forget the past of the masked robots, [N] bool, by default of all."""
 
 
 class Pilot:
-    """Drives N robots, each in its mode, with one policy."""
+    """Pilot of N robots with one policy, each in a mode of its own."""
 
     def __init__(
         self,
@@ -108,15 +114,16 @@ class Pilot:
         """Combine a policy and selectors.
 
         Args:
-            policy: of N robots.
-            selectors: of N robots, by the mode that obeys it, `memory` or `switch`. Robots of the
-                other modes obey none; in `probability` and `trusted` they have those of `memory`.
-            modes: of each robot, one of `PILOT_MODES`.
-            unseen: what robots of the mode `memory` do at the end of the ground that they have
-                seen, one of `UNSEEN` for all robots, or N of them.
+            policy: Policy of N robots.
+            selectors: Selectors of N robots by the mode that obeys them, `memory` or `switch`.
+                Robots in other modes obey none; their `probability` and `trusted` are those of the
+                mode `memory`.
+            modes: Mode of each robot, one of `PILOT_MODES`.
+            unseen: Conduct of robots in the mode `memory` at the end of the ground that they have
+                seen: one of `UNSEEN` for all robots, or one for each.
 
         Raises:
-            RenetError: unknown mode or conduct, or another number of conducts than of robots.
+            RenetError: A mode or conduct is unknown, or there are not as many conducts as robots.
         """
         for mode in dict.fromkeys(modes):
             demand_name("mode", mode, PILOT_MODES)
@@ -127,27 +134,29 @@ class Pilot:
         self.modes = np.array(modes)
         """Mode of each robot, [N]."""
         self.vision = np.ones(robots, bool)
-        """Whether VP drove the newest step, [N]."""
+        """True where VP drove the newest step, [N] bool."""
         self.trusted = np.ones(robots, bool)
-        """Whether VP may drive the next step, [N], by the selector of each robot."""
+        """True where a robot's selector lets VP drive the next step, [N] bool."""
         self._obeys = np.isin(self.modes, SELECTORS)
         self._always = self.modes == "camera"
         self._image = np.zeros((robots, *DEPTH_SHAPE), np.float32)
-        """Image of the newest tick."""
+        """Images of the newest tick, [N, 48, 64]."""
         self._arrived = np.zeros(robots, bool)
-        """Whether an image has arrived since the newest tick, [N]."""
+        """True where an image has arrived since the newest tick, [N] bool."""
         self._camera = ImageHolder(robots)
         self._steps = 0
+
+        # Conduct at the end of the ground that robots have seen.
         conducts = [unseen] * robots if isinstance(unseen, str) else list(unseen)
         if len(conducts) != robots:
             raise RenetError(f"{len(conducts)} conducts for {robots} robots: give one, or one each")
         for conduct in dict.fromkeys(conducts):
             demand_name("unseen", conduct, UNSEEN)
         self._fastest = np.array([SPEEDS[conduct] for conduct in conducts])
-        """Fastest walk towards unseen ground, [N] m/s."""
+        """Largest speed towards unseen ground, [N] m/s."""
         self.reach = Reach(robots)
         self.unseen = np.zeros(robots, bool)
-        """Whether the ground ahead of a robot lies beyond what it has seen, [N]."""
+        """True where the command leads to ground that the robot has not seen, [N] bool."""
 
     @classmethod
     def of(
@@ -158,18 +167,19 @@ class Pilot:
         policy: BundlePolicy | None = None,
         unseen: Unseen = "walk",
     ) -> Self:
-        """A pilot with the selectors of a bundle.
+        """Build a pilot with the policy and selectors of a bundle.
 
         Args:
-            bundle: loaded.
-            robots: number of robots, N.
-            mode: one of `PILOT_MODES` for all robots, or N of them.
-            policy: of the bundle for N robots; by default one whose ticks run in line.
-            unseen: what robots of the mode `memory` do at the end of the ground that they have
+            bundle: The bundle.
+            robots: Number of robots, N.
+            mode: One of `PILOT_MODES` for all robots, or one for each.
+            policy: Policy of the bundle for N robots; by default one whose ticks run in line.
+            unseen: Conduct of robots in the mode `memory` at the end of the ground that they have
                 seen: `walk` on, `slow` down or `stop`.
 
         Raises:
-            RenetError: no robot, an unknown mode or conduct, or not as many modes as robots.
+            RenetError: There are no robots, a mode or conduct is unknown, or there are not as many
+                modes as robots.
         """
         if robots < 1:
             raise RenetError(f"robots must be at least 1, got {robots}")
@@ -183,17 +193,18 @@ class Pilot:
         return cls(policy, selectors, modes, unseen)
 
     def step(self, observation: np.ndarray, image: np.ndarray | Images | None, now: float) -> Step:
-        """One control step, every 0.02 s, with the policy of a bundle.
+        """Take one control step, to be called every 0.02 s, with the policy of a bundle.
 
         Args:
-            observation: o_t, [N, 45], the terms of `interface.PROPRIOCEPTION` in their order.
-            image: depth images [N, 48, 64] in [0, 1] that have just been taken; None if no new one
-                has arrived since the last step, or without a camera. `Images` tell more.
-            now: seconds on any clock; while it stands or runs backwards nothing is judged.
+            observation: Observation o_t, [N, 45], with the terms of `interface.PROPRIOCEPTION`.
+            image: Depth images that have just been taken, [N, 48, 64] in [0, 1]; None if no new one
+                has arrived since the last step, or without a camera. `Images` also hold ages and
+                other facts of the images.
+            now: Time on any clock, s. While it stands still or runs backwards, nothing is judged.
 
         Raises:
-            RenetError: wrong shape, a number that is not finite, or depth outside [0, 1]; the pilot
-                is then unchanged.
+            RenetError: An input has another shape, is not finite, or depth is outside [0, 1]. The
+                pilot is then unchanged.
         """
         policy: Any = self.policy
         observation = checked(observation, "observation", (self.num_robots, PROPRIOCEPTION_SIZE))
@@ -213,9 +224,9 @@ class Pilot:
         )
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Begin anew with the masked robots [N], trusting vision; by default with all.
+        """Forget the past of the masked robots, [N] bool, and trust vision; by default of all.
 
-        Resetting all restarts the 10 Hz clock and forgets their images.
+        A reset of all robots also restarts the 10 Hz clock and forgets the images.
         """
         if mask is None:
             self._steps = 0
@@ -231,7 +242,7 @@ class Pilot:
 
     @property
     def due(self) -> bool:
-        """Whether the next step is a tick."""
+        """True if the next step is a tick."""
         return self._steps % STEPS_PER_TICK == 0
 
     @property
@@ -241,23 +252,26 @@ class Pilot:
 
     @property
     def without_image(self) -> np.ndarray:
-        """Seconds since VP's newest tick with an image, [N]; infinite before the first."""
+        """Time since VP's newest tick with an image, [N] s; infinite before the first."""
         return self._obeyed("without_image")
 
-    # The parts of `step`, for rollouts, which judge more often than they act.
+    # Parts of `step`, for rollouts that judge more often than they act.
 
     def act(
         self, observation: np.ndarray, images: Images, distrusted: np.ndarray | None = None
     ) -> np.ndarray:
-        """Actions [N, 12] of one control step.
+        """Compute the actions of one control step, [N, 12].
 
         Args:
-            observation: o_t, [N, 45].
-            images: delivered by now.
-            distrusted: [N] bool, robots that OP drives in this step, whatever their mode.
+            observation: Observation o_t, [N, 45].
+            images: Images delivered so far.
+            distrusted: True for robots that OP drives in this step in any mode, [N] bool.
         """
+        # At a tick the selectors decide which images VP may use.
         self._arrived = self._arrived | images.fresh
         gate = self._look(images) if self.due else None
+
+        # Robots that VP drives in this step.
         vision = np.where(self._obeys, self.trusted, self._always)
         if images.image is None:
             vision = np.zeros(self.num_robots, bool)
@@ -268,7 +282,8 @@ class Pilot:
         observation = self._heed_unseen(observation)
         gated = () if gate is None else (gate,)
         action = policy.step(observation, images.image, ~vision, *gated)
-        # Where VP found no numbers, the policy has let OP drive.
+
+        # Where VP's results are not finite, the policy has let OP drive.
         lost = getattr(policy, "vp_lost", np.zeros(self.num_robots, bool))
         if lost.any():
             for selector in self.selectors.values():
@@ -277,16 +292,23 @@ class Pilot:
         return action
 
     def judge(self, seen: SelectorInput, now: float) -> None:
-        """Decide by what is known of vision `now`, s, whether VP may drive the next step."""
-        answers = {kind: one.update(seen, now) for kind, one in self.selectors.items()}
+        """Decide which robots VP may drive in the next step.
+
+        Args:
+            seen: Input of the selectors.
+            now: Time on the same clock as before, s.
+        """
+        answers = {}
+        for kind, selector in self.selectors.items():
+            answers[kind] = selector.update(seen, now)
         self.trusted = self._of_each(answers)
 
     def seen(self, images: Images, fresh: np.ndarray | None = None) -> SelectorInput:
-        """The input of the selectors: the images, and what the policy says of them.
+        """Collect the input of the selectors: the images, and the policy's scores of them.
 
         Args:
-            images: delivered by now.
-            fresh: [N] bool, those that no selector has looked at yet; by default none.
+            images: Images delivered so far.
+            fresh: True for images that no selector has looked at yet, [N] bool; by default none.
         """
         policy = self.policy
         zero = np.zeros(self.num_robots)
@@ -297,7 +319,7 @@ class Pilot:
             fresh=np.zeros(self.num_robots, bool) if fresh is None else fresh,
             age=images.age,
             invalid=images.invalid,
-            # Policies of others may lack these.
+            # Attributes that a policy of another project may lack.
             velocity_op=getattr(policy, "velocity_op", still),
             velocity_vp=getattr(policy, "velocity_vp", still),
             variance_score=getattr(policy, "variance_score", zero),
@@ -306,30 +328,33 @@ class Pilot:
         )
 
     def _heed_unseen(self, observation: np.ndarray) -> np.ndarray:
-        """Slow down or stop robots before ground that they have not seen.
+        """Slow down or stop robots in front of ground that they have not seen.
 
         Args:
-            observation: o_t, [N, 45].
+            observation: Observation o_t, [N, 45].
 
         Returns:
-            o_t with the commands that the policy is told, [N, 45].
+            The observation, with limited commands, [N, 45].
         """
+        # Policies of other projects do not say what they remember.
         manifest = getattr(self.policy, "manifest", None)
         if manifest is None or not hasattr(self.policy, "has_image"):
-            # Policies of others do not say what they remember.
             return observation
+
+        # Move on from the last image; one that VP has just used is the new origin.
         policy: Any = self.policy
         self.reach.move(policy.velocity_vp[:, :2], observation[:, TURN_RATE] / TURN_RATE_SCALE)
         self.reach.reset(policy.has_image | (self.modes != "memory"))
-        command = observation[:, COMMAND]
-        way = direction_of(command, manifest.told)
-        ahead = self.reach.ahead(way)
-        self.unseen = ahead < MARGIN
+
+        # Robots whose command leads to the end of the ground that they have seen.
+        command = observation[:, COMMAND_SLICE]
+        ahead = self.reach.ahead(direction_of(command, manifest.told))
+        self.unseen = ahead < STOPPING_MARGIN
         if not self.unseen.any() or np.isinf(self._fastest).all():
             return observation
         limit = np.where(can_stop(ahead, policy.height_map), self._fastest, np.inf)
         observation = observation.copy()
-        observation[:, COMMAND] = slowed(command, manifest.told, limit)
+        observation[:, COMMAND_SLICE] = slowed(command, manifest.told, limit)
         return observation
 
     def _hold(self, image: np.ndarray | None, now: float) -> Images:
@@ -337,12 +362,12 @@ class Pilot:
         if image is not None:
             policy: Any = self.policy
             image = checked_depth(image, self.num_robots, policy.manifest.camera.range)
-            # Half precision, in which training saw them.
+            # In half precision, as in training.
             image = image.astype(np.float16).astype(np.float32)
         return self._camera.hold(image, now)
 
     def _look(self, images: Images) -> Gate | None:
-        """Let the selectors look at the images of a tick; returns which of them VP may use."""
+        """Let the selectors look at the images of a tick; returns the gate of the memory."""
         if images.image is not None:
             self._image = images.image
         seen = self.seen(images, fresh=self._arrived)
@@ -354,17 +379,21 @@ class Pilot:
         return replace(gate, robots=self.modes == "memory")
 
     def _state(self, images: Images) -> np.ndarray:
-        """Whether each robot sees, remembers or is blind, [N]."""
+        """Return the state of each robot, [N]: sees, remembers or blind."""
+        # Robots in the modes camera and blind obey no selector.
         always = SEES if images.image is not None else BLIND
         disobedient = np.where(self._always, always, BLIND)
         return np.where(self._obeys, self._obeyed("state"), disobedient)
 
     def _obeyed(self, attribute: str) -> np.ndarray:
-        """An attribute [N] of the selector that each robot obeys."""
-        return self._of_each({kind: getattr(s, attribute) for kind, s in self.selectors.items()})
+        """Return an attribute, [N], of the selector that each robot obeys."""
+        values = {}
+        for kind, selector in self.selectors.items():
+            values[kind] = getattr(selector, attribute)
+        return self._of_each(values)
 
     def _of_each(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Of values [N] by selector, each robot's own."""
+        """Return the value of each robot's own selector, [N], from values [N] by selector."""
         if len(values) == 1:
             (value,) = values.values()
             return value

@@ -21,42 +21,43 @@ from renet.pilot.tick import (
 )
 from renet.selector.monitors import Gate
 
-LARGEST = 1e4
-"""Beyond this a latent, m/s or m is no number either: an overflow on its way to infinity."""
+LARGEST_RESULT = 1e4
+"""Largest plausible result of an estimator, in any unit. Beyond it, the estimator diverges."""
 
 
 class Policy(Protocol):
-    """Anybody's policy, as a pilot needs it: `BundlePolicy` is one.
+    """Interface of policies that a pilot can drive robots with, such as `BundlePolicy`.
 
-    Further attributes are optional. The monitors compare `velocity_op` and `velocity_vp` ([N, 3]
-    m/s), and judge `variance_score` ([N]) and `map_error` ([N] m). A policy with `has_image`
-    ([N] bool) can do without an image: its `step` takes a `gate` as well. One with `retire(mask)`
-    need not act for robots whose try is over, until all are reset.
+    Other attributes are optional. Monitors compare `velocity_op` and `velocity_vp` ([N, 3] m/s),
+    and judge `variance_score` ([N]) and `map_error` ([N] m). A policy with `has_image` ([N] bool)
+    can walk without an image, and its `step` also takes a `gate`. A policy with `retire(mask)` need
+    not act for robots whose trial is over, until all are reset.
     """
 
     anomaly_score: np.ndarray
-    """[N] how unlike its training images the last frames were; any scale."""
+    """Score of the newest images, [N], on any scale; larger for images unlike those of training."""
 
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Forget the past of the masked robots [N], of all by default."""
 
     def step(self, proprioception: np.ndarray, depth: Any, op_mask: np.ndarray) -> np.ndarray:
-        """Actions [N, 12].
+        """Compute actions, [N, 12].
 
         Args:
-            proprioception: o_t, [N, 45].
-            depth: newest images [N, 48, 64] in [0, 1]; None without a camera.
-            op_mask: [N] bool, the paper's mask: true where OP is to act.
+            proprioception: Observation o_t, [N, 45].
+            depth: Newest images, [N, 48, 64] in [0, 1]; None without a camera.
+            op_mask: The paper's mask, True where OP is to act, [N] bool.
         """
         ...
 
 
 class BundlePolicy:
-    """Runs a bundle at 50 Hz; every fifth step is a 10 Hz tick of the estimators and of vision.
+    """Policy of a bundle at 50 Hz; every fifth step is a 10 Hz tick of estimators and vision.
 
-    Mirrors training: after a reset latents are zero, the history is filled with the first o_t and
-    both frames with the first image. Both estimators always run, so that a switch finds a warm
-    state. A robot reset between ticks waits for the next one with zero latents.
+    It works as in training: after a reset the latents are zero, the history is filled with the
+    first o_t, and both frames with the first image. Both estimators always run, so that the latent
+    of either is up to date when the robot switches to it. A robot that is reset between ticks has
+    zero latents until the next one.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class BundlePolicy:
         num_robots: int = 1,
         inference: Callable[[Sessions], InlineInference] = InlineInference,
     ) -> None:
-        """Set up for N robots; `inference` makes what runs the ticks, in line by default."""
+        """Initialize a policy of N robots; `inference` runs its ticks, by default in line."""
         self.manifest = bundle.manifest
         self.sessions = bundle.sessions
         self.inference = inference(bundle.sessions)
@@ -78,55 +79,58 @@ class BundlePolicy:
             return np.zeros((n, *shape), np.float32)
 
         self._history = zeros(inputs["proprioception_history"])
-        """Oldest first."""
+        """Last observations, oldest first, [N, H, 45]."""
         self._frames = zeros(inputs["depth"])
-        """Newest first."""
+        """Last two images, newest first, [N, 2, 48, 64]."""
         self.latent_op = zeros(inputs["latent_op"])
         self.latent_vp = zeros(inputs["latent_vp"])
         self.velocity_op = zeros(estimates["velocity_op"])
         self.velocity_vp = zeros(estimates["velocity_vp"])
-        """Base frame, m/s, as OP's."""
+        """Velocity of the base that VP estimates, base frame, [N, 3] m/s."""
         self.feet_height = zeros(estimates["feet_height"])
         self.height_map = zeros(estimates["height_map"])
         self.map_error = np.zeros(n, np.float32)
-        """Error of the height map ahead that VP expects, [N] m; zero from models that predict
-        none."""
+        """Error of the height map ahead that VP expects, [N] m; zero if the model predicts none."""
         self.has_image = np.ones(n, bool)
-        """Whether VP's newest tick had an image, [N]."""
+        """True where VP's newest tick had an image, [N] bool."""
         self.accepted = zeros(inputs["depth"])
-        """The two newest images that VP was given, newest first."""
+        """Two newest images that VP was given, newest first, [N, 2, 48, 64]."""
         self.reconstruction = zeros(shapes["vision"][1]["reconstruction"])
-        """Reconstructions of the newest images; a blind tick keeps the earlier ones."""
+        """Reconstructions of the newest images, which stay in a tick without an image."""
         self.anomaly_score = np.zeros(n, np.float32)
         """Loss_ad of the newest images, [N]; infinite without a camera."""
         self.variance_score = np.zeros(n, np.float32)
-        """Squared error over predicted variance, [N]; infinite without a camera, else zero from
-        models that predict none."""
+        """Squared error over predicted variance, [N]; infinite without a camera, and otherwise zero
+        if the model predicts none."""
         self.vp_lost = np.zeros(n, bool)
-        """Whether VP's newest tick found no numbers, [N]: OP must drive. VP forgets, and begins
-        anew."""
+        """True where VP's newest results are not finite, [N] bool: OP must drive, and VP begins
+        with an empty memory."""
         self.op_lost = np.zeros(n, bool)
-        """Whether OP's newest tick found none, [N]: the robot must brake."""
+        """True where OP's newest results are not finite, [N] bool: the robot must brake."""
         self.inferred = False
-        """Whether the newest step took over the result of a tick."""
+        """True if the newest step received the result of a tick."""
         self.fallback = False
-        """Whether the newest tick ran blind and in line, because the one before was late or its
-        thread is dead."""
+        """True if the newest tick ran in line without an image, because the one before was late or
+        its thread has died."""
+        # Robots whose history, and whose frames, are still empty.
         self._blank = np.ones(n, bool)
         self._fresh = np.ones(n, bool)
+        # Rows of the robots that have not retired; None for all.
         self._driven: np.ndarray | None = None
-        """Rows of the robots that have not retired; None: all."""
         self._step = 0
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Forget the masked robots; resetting all restarts the 10 Hz clock, and none is retired."""
+        """Forget the past of the masked robots, [N] bool, by default of all.
+
+        A reset of all robots also restarts the 10 Hz clock, and lets retired robots act again.
+        """
         if mask is None:
             self._step = 0
             self._driven = None
             self.fallback = False
         rows = slice(None) if mask is None else np.asarray(mask, bool)
         for name in ("latent_op", "latent_vp", MAP_ERROR, *SCORES):
-            # Copies: a tick on another thread may still read the old arrays.
+            # Into a copy, because a tick on another thread may still read the old array.
             value = getattr(self, name).copy()
             value[rows] = 0.0
             setattr(self, name, value)
@@ -138,20 +142,20 @@ class BundlePolicy:
         self._fresh[rows] = True
 
     def retire(self, mask: np.ndarray) -> None:
-        """Compute nothing more for the masked robots [N], until all are reset.
+        """Stop computing for the masked robots, [N] bool, until all are reset.
 
-        Their actions in `step` are zero, and their estimates stay. Those of the other robots are
-        the same, to the last digit, as beside them.
+        Their actions are zero, and their estimates stay as they are. Results of the other robots do
+        not change by a single bit.
         """
         self._driven = np.flatnonzero(~mask)
 
     def close(self) -> None:
-        """Stop the thread of the ticks, if there is one."""
+        """Stop the thread that runs the ticks, if there is one."""
         self.inference.close()
 
     @property
     def due(self) -> bool:
-        """Whether the next step is a tick."""
+        """True if the next step is a tick."""
         return self._step % STEPS_PER_TICK == 0
 
     def step(
@@ -161,19 +165,19 @@ class BundlePolicy:
         op_mask: np.ndarray,
         gate: Gate | None = None,
     ) -> np.ndarray:
-        """One control step.
+        """Take one control step.
 
         Args:
-            proprioception: o_t, [N, 45].
-            depth: newest image [N, 48, 64] in [0, 1], read at ticks; None without a camera.
-            op_mask: [N] bool, the paper's mask: true where OP acts.
-            gate: at ticks, which images VP may use; all by default.
+            proprioception: Observation o_t, [N, 45].
+            depth: Newest images, [N, 48, 64] in [0, 1], read at ticks; None without a camera.
+            op_mask: The paper's mask, True where OP acts, [N] bool.
+            gate: At ticks, the gate that withholds images from VP; by default none.
 
         Returns:
-            Actions [N, 12] in policy units, clipped as in training.
+            Actions in policy units, clipped as in training, [N, 12].
 
         Raises:
-            RenetError: wrong shape, a number that is not finite, or depth outside [0, 1]. The
+            RenetError: An input has another shape, is not finite, or depth is outside [0, 1]. The
                 memory is then unchanged.
         """
         shape = (self.num_robots, PROPRIOCEPTION_SIZE)
@@ -184,7 +188,7 @@ class BundlePolicy:
         self.inferred = False
         if self.due:
             self._begin_tick(depth, gate)
-        # A tick in line is done by now; one on a thread is waited for a few milliseconds at most.
+        # A tick in line is done by now; for one on a thread this waits a few milliseconds at most.
         output = self.inference.take()
         if output is not None:
             self._accept(output)
@@ -192,20 +196,21 @@ class BundlePolicy:
         return self._act(proprioception, mask | self.vp_lost)
 
     def joint_target(self, action: np.ndarray) -> np.ndarray:
-        """Joint positions [N, 12] in rad that an action asks for."""
+        """Return the joint positions to which actions [N, 12] drive, [N, 12] rad."""
         robot = self.manifest.robot
         return robot.arrays["default_position"] + robot.action_scale * action
 
     def _remember(self, proprioception: np.ndarray) -> None:
-        """Push o_t [N, 45] onto the history."""
+        """Add o_t, [N, 45], to the history."""
         self._history[:, :-1] = self._history[:, 1:]
         self._history[:, -1] = proprioception
+        # The first observation after a reset fills the history.
         if self._blank.any():
             self._history[self._blank] = proprioception[self._blank, None]
             self._blank[:] = False
 
     def _begin_tick(self, depth: np.ndarray | None, gate: Gate | None) -> None:
-        """Start a tick; where the one before is late, run this one here and blind."""
+        """Start a tick; if the one before is late, run this one here, without an image."""
         self.fallback = not self.inference.ready()
         inputs = self._look(None if self.fallback else depth, gate)
         if self._driven is not None:
@@ -216,7 +221,7 @@ class BundlePolicy:
             self.inference.begin(inputs)
 
     def _look(self, depth: np.ndarray | None, gate: Gate | None) -> EstimatorInput:
-        """Push an image [N, 48, 64], if there is one; returns what a tick reads."""
+        """Add an image [N, 48, 64] to the frames, if there is one; returns the tick's inputs."""
         unpaired = self._fresh | ~self.has_image
         if depth is not None:
             self._frames[:, 1] = np.where(self._fresh[:, None, None], depth, self._frames[:, 0])
@@ -231,10 +236,10 @@ class BundlePolicy:
         return EstimatorInput(feed, frames, self.accepted, unpaired, gate, blind=depth is None)
 
     def _accept(self, result: EstimatorOutput) -> None:
-        """Take over the output of a tick, of the robots that have not retired."""
+        """Store the results of a tick, of the robots that have not retired."""
         for name, value in result.items():
             if self._driven is not None:
-                # A copy, as in `reset`.
+                # Into a copy (see `reset`).
                 whole = getattr(self, name).copy()
                 whole[self._driven] = value
                 value = whole
@@ -243,7 +248,7 @@ class BundlePolicy:
         self._find_lost(result)
 
     def _find_lost(self, result: EstimatorOutput) -> None:
-        """Notice estimators that found no numbers, and let VP forget what it cannot go on from."""
+        """Find estimators whose results are not finite, and clear the memory of such VPs."""
         self.op_lost = ~self._sane(OF_OP)
         self.vp_lost = ~self._sane([name for name in OF_VP if name in result])
         if not self.vp_lost.any():
@@ -255,15 +260,24 @@ class BundlePolicy:
         self.has_image = self.has_image & ~self.vp_lost
 
     def _sane(self, names: Iterable[str]) -> np.ndarray:
-        """[N] bool: whether all numbers of some attributes are finite and not huge."""
+        """Return a mask of robots whose attributes `names` are finite and not huge, [N] bool."""
         sane = np.ones(self.num_robots, bool)
         for name in names:
             value = np.abs(getattr(self, name)).reshape(self.num_robots, -1)
-            sane &= (value <= LARGEST).all(axis=1)
+            # The comparison is False for NaN, too.
+            sane &= (value <= LARGEST_RESULT).all(axis=1)
         return sane
 
     def _act(self, proprioception: np.ndarray, op_mask: np.ndarray) -> np.ndarray:
-        """Actions [N, 12] under the paper's mask [N] bool; ends the control step."""
+        """Run the actor, which ends the control step.
+
+        Args:
+            proprioception: Observation o_t, [N, 45].
+            op_mask: The paper's mask, True where OP acts, [N] bool.
+
+        Returns:
+            Actions, [N, 12].
+        """
         driven = slice(None) if self._driven is None else self._driven
         inputs = {
             "proprioception": proprioception[driven],
@@ -280,7 +294,7 @@ class BundlePolicy:
 
 
 def checked(value: np.ndarray, name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """An array as float32; raises RenetError unless it has that shape and is finite."""
+    """Convert an array to float32; raises RenetError if it has another shape or is not finite."""
     value = np.asarray(value, np.float32)
     if value.shape != shape:
         raise RenetError(f"the {name} has shape {value.shape}, expected {shape}")
@@ -290,9 +304,15 @@ def checked(value: np.ndarray, name: str, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def checked_depth(depth: np.ndarray, num_robots: int, metres: float) -> np.ndarray:
-    """Depth images [N, 48, 64] as float32; `metres` is the distance that 1 stands for.
+    """Convert depth images to float32.
 
-    Raises RenetError for another shape, a number that is not finite, or one outside [0, 1].
+    Args:
+        depth: Images, [N, 48, 64] in [0, 1].
+        num_robots: Number of robots, N.
+        metres: Distance of a pixel of 1, m, for the message.
+
+    Raises:
+        RenetError: The images have another shape, are not finite, or are outside [0, 1].
     """
     depth = checked(depth, "depth image", (num_robots, *DEPTH_SHAPE))
     if depth.min() < 0.0 or depth.max() > 1.0:

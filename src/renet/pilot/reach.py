@@ -1,8 +1,8 @@
-"""The end of the ground that a robot has seen, and its walk towards it.
+"""Distance from robots to the end of the ground that they have seen.
 
-Images show the ground up to some distance ahead. While they are withheld a robot walks towards the
-end of what VP remembers; its own motion since its last image tells how far that is. Ground beyond
-may hold anything.
+Images show the ground up to some distance ahead. Without them a robot walks towards the end of the
+ground that VP remembers. Its motion since its last image tells the distance to that end. The ground
+beyond is unknown.
 """
 
 from typing import get_args
@@ -13,40 +13,40 @@ from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, Told, Unseen
 
 UNSEEN = get_args(Unseen)
 DISTANCE = max(HEIGHT_MAP_X)
-"""Distance ahead of the base up to which VP remembers an image, m: the map that teaches it ends
-there."""
-MARGIN = 0.5
-"""Distance ahead of the base within which the ground must have been seen, m: the front feet are a
+"""Distance ahead of the base up to which VP remembers an image, m; the map on which VP is trained
+ends there."""
+STOPPING_MARGIN = 0.5
+"""Distance ahead of the base within which the ground must have been seen, m. The front feet are a
 quarter of a metre ahead, and a robot needs as much to stop."""
-BEYOND = 0.3
-"""Distance beyond the end of what it has seen at which a robot has finished any obstacle that it
+OBSTACLE_END = 0.3
+"""Distance beyond the end of the ground seen at which a robot has finished any obstacle that it
 remembered, m."""
 HALF_WIDTH = max(HEIGHT_MAP_Y)
-"""Distance to either side of the way that VP remembers, m."""
+"""Distance to the left and to the right up to which VP remembers an image, m."""
 FOOTPRINT = (
     [i for i, x in enumerate(HEIGHT_MAP_X) if abs(x) <= 0.3],
     [i for i, y in enumerate(HEIGHT_MAP_Y) if abs(y) <= 0.15],
 )
 """Rows and columns of the height map under a robot and its next step."""
-LEVEL = 0.15
-"""Largest difference of heights within that footprint of ground to stop on, m."""
+LARGEST_RELIEF = 0.15
+"""Largest difference of heights within that footprint on ground on which robots stop, m."""
 SPEEDS = {"walk": np.inf, "slow": 0.3, "stop": 0.0}
-"""Fastest walk towards unseen ground, m/s."""
+"""Largest speed towards unseen ground, m/s, by conduct."""
 
 
 class Reach:
-    """Motion of N robots since their last image, and how far they may go on.
+    """Motion of N robots since their last images, and the ground ahead that they have seen.
 
-    Each robot's last image defines a frame: its base at that moment, x ahead. The ground within
-    `distance` ahead of that frame and `HALF_WIDTH` to its sides has been seen, and so has all
-    behind it, for the robot came from there.
+    Each robot's last image defines a frame: that of its base at this moment, with x ahead. The
+    ground up to `distance` ahead and up to `HALF_WIDTH` to the sides has been seen, and so has the
+    ground behind, from where the robot came.
     """
 
     def __init__(self, num_robots: int, distance: float = DISTANCE) -> None:
-        """Begin with an image of every robot.
+        """Initialize the motion at images of all robots.
 
         Args:
-            num_robots: N.
+            num_robots: Number of robots, N.
             distance: Distance ahead of the base up to which an image is remembered, m.
         """
         self.distance = distance
@@ -54,68 +54,80 @@ class Reach:
         self._yaw = np.zeros(num_robots)
 
     def reset(self, mask: np.ndarray) -> None:
-        """Let the masked robots [N] begin at a new image."""
+        """Begin at a new image for the masked robots, [N] bool."""
         self._position[mask] = 0.0
         self._yaw[mask] = 0.0
 
     def move(self, velocity: np.ndarray, turn_rate: np.ndarray) -> None:
-        """Let one control step pass.
+        """Advance the motion by one control step.
 
         Args:
-            velocity: Of the bases in their own frames, x and y, [N, 2] m/s.
-            turn_rate: Around the bases' z axes, [N] rad/s.
+            velocity: Velocities (x, y) of the bases in their own frames, [N, 2] m/s.
+            turn_rate: Turn rates around the bases' z axes, [N] rad/s.
         """
         self._position += CONTROL_DT * _rotated(velocity, self._yaw)
         self._yaw += CONTROL_DT * turn_rate
 
     def ahead(self, direction: np.ndarray) -> np.ndarray:
-        """Distance from the bases to the end of the ground that was seen, [N] m.
+        """Compute the distance from the bases to the end of the ground that was seen, [N] m.
 
         Args:
-            direction: Unit vectors in the bases' frames, [N, 2]; the zero vector leads nowhere,
-                infinitely far.
+            direction: Unit vectors in the bases' frames, [N, 2]. For the zero vector the distance
+                is infinite.
         """
         way = _rotated(direction, self._yaw)
         to_end = _distance(self.distance - self._position[:, 0], way[:, 0])
         to_left = _distance(HALF_WIDTH - self._position[:, 1], way[:, 1])
         to_right = _distance(HALF_WIDTH + self._position[:, 1], -way[:, 1])
-        # Behind the image's frame the robot's own track is all that counts.
-        behind = self._position[:, 0] + MARGIN * way[:, 0] < 0.0
+        # Behind the frame's origin there are no sides: the robot walks back on its own track.
+        behind = self._position[:, 0] + STOPPING_MARGIN * way[:, 0] < 0.0
         sideways = np.where(behind, np.inf, np.minimum(to_left, to_right))
         return np.minimum(to_end, sideways)
 
 
 def can_stop(ahead: np.ndarray, height_map: np.ndarray) -> np.ndarray:
-    """Whether robots are to heed the end of the ground that they have seen, [N] bool.
+    """Return a mask of robots that are at the end of the ground seen and can stop there, [N] bool.
 
-    A robot amid an obstacle that it remembers finishes it first.
+    A robot on an obstacle that it remembers finishes the obstacle first.
 
     Args:
-        ahead: Distance to the end of that ground, [N] m.
-        height_map: VP's map of the ground around the bases, [N, 132] m, as `interface` has it.
+        ahead: Distance to the end of that ground, [N] m (see `Reach.ahead`).
+        height_map: VP's map of the ground around the bases, [N, 132] m.
     """
-    return (ahead < MARGIN) & (_on_level_ground(height_map) | (ahead < -BEYOND))
+    return (ahead < STOPPING_MARGIN) & (_on_level_ground(height_map) | (ahead < -OBSTACLE_END))
 
 
 def _on_level_ground(height_map: np.ndarray) -> np.ndarray:
-    """Whether the remembered ground under robots and their next step is level, [N] bool."""
+    """Return a mask of robots that remember level ground below and one step ahead, [N] bool."""
     grid = height_map.reshape(-1, len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))
     ground = grid[:, FOOTPRINT[0]][:, :, FOOTPRINT[1]].reshape(len(grid), -1)
-    return np.ptp(ground, axis=1) < LEVEL
+    return np.ptp(ground, axis=1) < LARGEST_RELIEF
 
 
 def direction_of(command: np.ndarray, told: Told) -> np.ndarray:
-    """Unit vectors [N, 2] of the way that commands [N, 3] ask for, base frame; zero to stand."""
+    """Return the directions of commands [N, 3] in the base frame, unit vectors [N, 2].
+
+    The vector is zero for a command to stand.
+    """
     velocity = command[:, :2].copy()
     if told == "heading":
-        # The policy turns to its heading and walks ahead.
+        # Only the first number is a velocity; the others are a heading, to which the robot turns.
         velocity[:, 1] = 0.0
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     return np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0.0)
 
 
 def slowed(command: np.ndarray, told: Told, limit: np.ndarray) -> np.ndarray:
-    """Commands [N, 3] whose speed is at most `limit` [N], m/s; turns stay."""
+    """Limit the speed of commands.
+
+    Args:
+        command: Commands, [N, 3].
+        told: Form of the commands.
+        limit: Largest speeds, [N] m/s.
+
+    Returns:
+        Commands of the same directions and turns, [N, 3].
+    """
     slow = command.copy()
     parts = slice(0, 1) if told == "heading" else slice(0, 2)
     speed = np.linalg.norm(command[:, parts], axis=1)
@@ -125,7 +137,7 @@ def slowed(command: np.ndarray, told: Told, limit: np.ndarray) -> np.ndarray:
 
 
 def _rotated(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Vectors [N, 2] turned by angles [N], rad, counterclockwise."""
+    """Rotate vectors [N, 2] counterclockwise by angles [N] rad."""
     cos = np.cos(angle)
     sin = np.sin(angle)
     x, y = vector.T
@@ -133,6 +145,12 @@ def _rotated(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _distance(gap: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Length of ways that approach a line at a distance `gap` by `share` of each metre, [N] m."""
+    """Compute the distance to a line along directions that need not be normal to it, [N] m.
+
+    Args:
+        gap: Distance to the line along its normal, [N] m.
+        share: Cosine of the angle between direction and normal, [N]. Where it is not positive, the
+            direction never meets the line and the distance is infinite.
+    """
     approaches = share > 1e-6
     return np.divide(gap, share, out=np.full_like(gap, np.inf), where=approaches)

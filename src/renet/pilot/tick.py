@@ -17,31 +17,32 @@ EstimatorOutput = dict[str, np.ndarray]
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
 SCORES = ("anomaly_score", "variance_score")
 OF_VP = ("latent_vp", "velocity_vp", "height_map", MAP_ERROR)
+"""Results of VP that must be finite for VP to drive."""
 OF_OP = ("latent_op", "velocity_op")
-"""Results of each estimator; a robot cannot walk on one that has found no numbers."""
+"""Results of OP that must be finite for the robot to walk at all."""
 SEEN = (*SCORES, "reconstruction")
-"""Outputs of the vision model that are used, where it has them; a stranger's may have any others,
-which must replace no attribute."""
+"""Outputs of the vision model that are used, if it has them. A stranger's model may have others,
+which must not replace attributes."""
 
 
 class EstimatorInput(NamedTuple):
     """Inputs of one tick: copies, safe on any thread."""
 
     feed: dict[str, np.ndarray]
-    """The estimators' inputs but for the images, by the names that their model gives them."""
+    """Inputs of the estimators without images, by their names in the model."""
     depth: np.ndarray
-    """The two newest images that were delivered, [N, 2, 48, 64], newest first."""
+    """Two newest images that were delivered, newest first, [N, 2, 48, 64]."""
     accepted: np.ndarray
-    """The two newest images that VP was given before, likewise."""
+    """Two newest images that VP was given before, newest first, [N, 2, 48, 64]."""
     unpaired: np.ndarray
-    """[N] bool: VP had no image a tick ago; the next one stands in for that one, too."""
+    """True where VP had no image a tick ago, so that the next image takes both places, [N] bool."""
     gate: Gate | None
-    """Which images VP may use; None: all."""
+    """Gate that withholds images from VP; None withholds none."""
     blind: bool
-    """No image has arrived: vision does not run, and its scores are infinite."""
+    """True if no image has arrived: vision does not run, and its scores are infinite."""
 
     def robots(self, rows: np.ndarray) -> "EstimatorInput":
-        """The inputs of some robots, by their rows."""
+        """Return the inputs of some robots, given by their rows."""
         return EstimatorInput(
             {name: value[rows] for name, value in self.feed.items()},
             self.depth[rows],
@@ -53,11 +54,12 @@ class EstimatorInput(NamedTuple):
 
 
 def infer(sessions: Sessions, inputs: EstimatorInput) -> EstimatorOutput:
-    """Run vision, withhold the images that the gate objects to, and run both estimators."""
+    """Run vision, withhold the images that the gate rejects, and run both estimators."""
     # Vision comes first: its scores decide which images VP may use.
     result = _see(sessions["vision"], inputs)
     estimator = sessions["estimator"]
     feed = inputs.feed | {"depth": inputs.depth}
+    # A model with a memory can be told that there is no image.
     if remembers(estimator):
         result |= _withhold(inputs, result)
         has_image = result["has_image"][:, None]
@@ -70,7 +72,7 @@ def infer(sessions: Sessions, inputs: EstimatorInput) -> EstimatorOutput:
 
 
 def _see(vision: Session, inputs: EstimatorInput) -> EstimatorOutput:
-    """Scores [N] of the newest images and their reconstructions."""
+    """Compute scores [N] of the newest images, and their reconstructions."""
     robots = len(inputs.depth)
     if inputs.blind:
         return {name: np.full(robots, np.inf, np.float32) for name in SCORES}
@@ -85,11 +87,12 @@ def _see(vision: Session, inputs: EstimatorInput) -> EstimatorOutput:
 
 
 def _withhold(inputs: EstimatorInput, scores: EstimatorOutput) -> EstimatorOutput:
-    """Which robots' VP has an image, [N] bool, and the two newest that it was given."""
+    """Return the robots whose VP has an image, [N] bool, and the two newest images it was given."""
     depth = inputs.depth
     has_image = np.full(len(depth), not inputs.blind)
     if inputs.gate is not None:
         has_image &= inputs.gate.judge(scores)
+    # Where VP had no image a tick ago, the new image stands for that one, too.
     older = np.where(inputs.unpaired[:, None, None], depth[:, 0], inputs.accepted[:, 0])
     pair = np.stack((depth[:, 0], older), axis=1)
     accepted = np.where(has_image[:, None, None, None], pair, inputs.accepted)

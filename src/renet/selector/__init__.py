@@ -1,4 +1,4 @@
-"""When to trust vision: anomaly threshold, low-pass filter, monitors. NumPy only."""
+"""Decision when to trust vision: monitors, thresholds and a low-pass filter, in NumPy."""
 
 from renet.selector.monitors import MONITORS, SelectorInput
 from renet.selector.selector import SelectorSpec, make_selector

@@ -1,4 +1,4 @@
-"""Thresholds from healthy runs: the paper's maximum, or a stated rate of false alarms."""
+"""Thresholds from healthy runs: the paper's maximum, or a rate of false alarms."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,23 +10,25 @@ from renet.selector.monitors import MONITORS
 
 TAIL = 0.02
 """Share of the highest scores to which a distribution's tail is fitted."""
-ENOUGH = 20
-"""Least number of peaks to fit a tail's shape to; with fewer it is taken as exponential."""
+FEWEST_PEAKS = 20
+"""Smallest number of peaks from which the shape of a tail is fitted; with fewer it is
+exponential."""
 APART = 10
-"""Least number of scores (1 s at 10 Hz) between two alarms: vision does not return earlier."""
+"""Smallest number of scores between two alarms (1 s at 10 Hz): vision does not return earlier."""
 
 
 def calibrate(scores: np.ndarray, false_alarm: float = 0.0) -> float:
-    """Beta from the anomaly scores of successful episodes with healthy cameras.
+    """Compute beta from the anomaly scores of successful episodes with healthy cameras.
 
     Args:
-        scores: of any shape.
-        false_alarm: 0 is the paper's rule, the largest score (RENet, Method B). Above 0, a new
-            healthy score exceeds the result with at most this probability (split conformal): with
-            n scores it is the one of rank ceil((n + 1)(1 - false_alarm)).
+        scores: Scores, of any shape.
+        false_alarm: Largest probability that a new healthy score exceeds beta (split conformal
+            prediction): of n scores, beta is the one of rank ceil((n + 1)(1 - false_alarm)). 0 is
+            the paper's rule, the largest score (RENet, Method B).
 
     Raises:
-        RenetError: no scores, one that is not finite, or too few for so small a probability.
+        RenetError: There are no scores, one is not finite, or there are too few for the
+            probability.
     """
     scores = np.sort(_checked(scores))
     if false_alarm == 0.0:
@@ -45,76 +47,90 @@ def calibrate_monitors(
     false_alarms_per_hour: float = 0.5,
     rate_hz: float = 10.0,
 ) -> tuple[dict[str, float], float]:
-    """Thresholds at which healthy robots leave vision at most at the stated rate.
+    """Compute thresholds at which healthy robots leave vision at most at a given rate.
 
-    One frame above a threshold is a false alarm, as the paper's filter is shorter than a frame. The
-    rate is shared equally between the monitors whose scores vary.
+    A single frame above a threshold is a false alarm, because the paper's filter is shorter than a
+    frame. The rate is divided equally among the monitors whose scores vary.
 
     Args:
-        scores: for each monitor one array [T] for each unbroken healthy run, T scores at `rate_hz`;
-            the same runs for all monitors.
-        false_alarms_per_hour: rate of all monitors together, above 0.
-        rate_hz: scores per second.
+        scores: Scores of healthy runs by monitor: for each continuous run an array [T]. All
+            monitors have the same runs.
+        false_alarms_per_hour: Rate of all monitors together, above 0.
+        rate_hz: Number of scores per second.
 
     Returns:
-        Thresholds by monitor name, and the robot hours that they are calibrated on.
+        Thresholds by the monitors' names, and the duration of the runs, robot hours.
 
     Raises:
-        RenetError: no scores, or one that is not finite.
+        RenetError: There are no scores, or one is not finite.
     """
     hours = sum(len(run) for run in next(iter(scores.values()))) / rate_hz / 3600.0
     varied = [name for name, runs in scores.items() if np.ptp(_checked(*runs)) > 0]
     share = false_alarms_per_hour / max(len(varied), 1)
     thresholds = {}
     for name, runs in scores.items():
-        floor, ceiling = MONITORS[name].floor, MONITORS[name].ceiling
-        # Scores that never vary, such as a simulated camera's holes, have no tail.
-        if name in varied or floor > -math.inf:
-            thresholds[name] = min(max(return_level(runs, share * hours), floor), ceiling)
+        monitor = MONITORS[name]
+        # Scores that never vary, such as a simulated camera's holes, have no tail. Their threshold
+        # is the monitor's floor, if it has one.
+        if name in varied or monitor.floor > -math.inf:
+            level = max(return_level(runs, share * hours), monitor.floor)
+            thresholds[name] = min(level, monitor.ceiling)
     return thresholds, hours
 
 
 def return_level(runs: Sequence[np.ndarray], expected: float) -> float:
-    """The level that new runs of the same length are expected to exceed `expected` times.
+    """Compute the level that new runs of the same length are expected to exceed `expected` times.
 
-    Peaks over threshold: the peaks of the clusters above a high quantile follow a generalised
-    Pareto distribution (Pickands, Balkema and de Haan). Its shape is fitted by moments, and kept
-    from -0.5 (a bounded tail, as of shares of an image) to 0 (an exponential one). As a margin for
-    heavier tails, the level is at least the maximum plus the mean exceedance.
+    The method is peaks over threshold: peaks of the clusters above a high quantile follow a
+    generalised Pareto distribution (Pickands, Balkema and de Haan). Its shape is fitted by moments,
+    and limited to the range from -0.5 (a bounded tail, such as that of shares of an image) to 0 (an
+    exponential one). As a margin for heavier tails, the level is at least the maximum plus the mean
+    exceedance.
 
     Args:
-        runs: [T] scores of each unbroken run.
-        expected: number of exceedances, which may be below 1.
+        runs: Scores of each continuous run, [T].
+        expected: Number of exceedances, which may be below 1.
     """
+    # Exceedances of a high quantile, one for each cluster.
     joined = _checked(*runs)
     high = float(np.quantile(joined, 1.0 - TAIL))
-    excess = np.array([peak for run in runs for peak in decluster(run, high)]) - high
+    peaks: list[float] = []
+    for run in runs:
+        peaks += decluster(run, high)
+    excess = np.array(peaks) - high
     if len(excess) == 0:
         return float(np.nextafter(joined.max(), np.inf))
-    mean, ratio = float(excess.mean()), max(len(excess) / expected, 1.0)
-    # Equal peaks, as of counts of equal images, have no variance.
+
+    # Shape and scale by moments. Equal peaks, as of counts of equal images, have no variance.
+    mean = float(excess.mean())
     spread = max(float(excess.var()), 1e-9 * mean**2)
-    shape = 0.5 * (1.0 - mean**2 / spread) if len(excess) >= ENOUGH else 0.0
+    shape = 0.5 * (1.0 - mean**2 / spread) if len(excess) >= FEWEST_PEAKS else 0.0
     shape = float(np.clip(shape, -0.5, 0.0))
     scale = mean * (1.0 - shape)
+
+    # Level that a peak exceeds with probability 1 / ratio.
+    ratio = max(len(excess) / expected, 1.0)
     rise = scale * (math.log(ratio) if shape == 0.0 else (ratio**shape - 1.0) / shape)
     return max(high + rise, float(joined.max()) + mean)
 
 
 def stale_above(staleness: np.ndarray, fell: np.ndarray, expected: np.ndarray) -> float:
-    """The staleness of memory above which a robot falls less often with OP.
+    """Find the staleness of memory above which a robot falls less often with OP.
 
     Args:
-        staleness: [n] expected map error in m, or seconds, of moments of walking from memory.
-        fell: [n] bool, whether the robot fell in this moment.
-        expected: [n] falls per moment with OP on the same ground.
+        staleness: Expected error of the map, m, or age of the last image, s, at moments of walking
+            from memory, [M].
+        fell: True where the robot fell at this moment, [M] bool.
+        expected: Falls per moment with OP on the same ground, [M].
 
     Returns:
-        The level above which the falls exceed OP's by most; infinity where the excess is within two
-        standard deviations of a Poisson count.
+        The staleness above which falls exceed those of OP by the largest number. It is infinite if
+        this number is within two standard deviations of a Poisson count.
     """
+    # Falls with memory and with OP at all moments that are at least as stale.
     order = np.argsort(-staleness, kind="stable")
-    falls, blind = np.cumsum(fell[order]), np.cumsum(expected[order])
+    falls = np.cumsum(fell[order])
+    blind = np.cumsum(expected[order])
     if len(falls) == 0:
         return math.inf
     surplus = falls - blind
@@ -124,7 +140,12 @@ def stale_above(staleness: np.ndarray, fell: np.ndarray, expected: np.ndarray) -
 
 
 def decluster(run: np.ndarray, level: float) -> list[float]:
-    """The peak of each group of exceedances of `level` that is APART scores from the next."""
+    """Return the peak of each cluster of scores above `level`; clusters are APART scores apart.
+
+    Args:
+        run: Scores of a continuous run, [T].
+        level: Level to exceed.
+    """
     above = np.flatnonzero(np.asarray(run) > level)
     if len(above) == 0:
         return []
@@ -133,7 +154,7 @@ def decluster(run: np.ndarray, level: float) -> list[float]:
 
 
 def _checked(*runs: np.ndarray) -> np.ndarray:
-    """All scores of the runs, [n]; raises RenetError for none, or one that is not finite."""
+    """Join the scores of all runs, [M]; raises RenetError for none, or one that is not finite."""
     scores = np.concatenate([np.zeros(0), *map(np.ravel, runs)])
     if scores.size == 0 or not np.isfinite(scores).all():
         raise RenetError("calibration needs at least one score, all of them finite")

@@ -1,11 +1,10 @@
-"""The selector: which images VP gets, and whether VP or OP drives.
+"""Selector of the images that VP gets, and of the estimator that drives.
 
-A robot is in one of three states. It sees while VP drives and gets its images. It remembers while
-VP drives without images: one that a monitor objects to is withheld in the tick in which it arrives.
-It is blind while OP drives, because the memory is stale or the estimators disagree.
+A robot is in one of three states. It sees while VP drives with images. It remembers while VP drives
+without images, because a monitor objects to them: such an image is withheld in the tick in which it
+arrives. It is blind while OP drives, because the memory is stale or the estimators disagree.
 
-With the reconstruction monitor alone, no dwell and no memory it is the paper's selector (RENet,
-Method B).
+The paper's selector (RENet, Method B) has the reconstruction monitor alone, no dwell and no memory.
 """
 
 import math
@@ -20,43 +19,45 @@ from renet.selector.filter import VISION_THRESHOLD, filter_delay, low_pass
 from renet.selector.monitors import MONITORS, Gate, Scorer, SelectorInput
 
 DWELL = 1.0
-"""Seconds without an objection before vision is used again."""
+"""Time without an objection before vision is used again, s."""
 BETWEEN_RETURNS = 5.0
-"""Shortest time in seconds between two returns to vision."""
+"""Shortest time between two returns to vision, s."""
 STEADY = 5
-"""New images since one was late from which on VP uses them again: those of a camera that delivers
-late look healthy, but come now and then."""
+"""Number of new images after a late one, from which on VP uses images again. Images of a camera
+that often delivers late look healthy."""
 SLOWEST = 1.0
-"""Longest delay of the filter in seconds."""
+"""Longest delay of the filter, s."""
 SELECTORS = ("memory", "switch")
-"""Selectors by the pilot's mode that obeys them (`interface.PilotMode`)."""
-SEES, REMEMBERS, BLIND = STATES = ("sees", "remembers", "blind")
-_STATES = np.array(STATES)
+"""Kinds of selectors, named after the pilot's modes that obey them (`interface.PilotMode`)."""
+SEES = "sees"
+REMEMBERS = "remembers"
+BLIND = "blind"
+_STATES = np.array((SEES, REMEMBERS, BLIND))
 LONGEST_MEMORY = 60.0
-"""Most seconds for which a bundle may let VP drive without an image."""
+"""Longest time for which a bundle may let VP drive without an image, s."""
 
 
 @dataclass(frozen=True)
 class SelectorSpec:
-    """A calibrated selector, as a bundle's manifest stores it."""
+    """Settings of a calibrated selector, which a bundle's manifest stores."""
 
     beta: float
-    """The paper's threshold on the anomaly score."""
+    """The paper's threshold of the anomaly score."""
     gamma: float = 0.1
     """Weight of a new verdict in the low-pass filter (paper)."""
     rate_hz: float = 200.0
     """Filter updates per second."""
     thresholds: dict[str, float] = field(default_factory=dict)
-    """Calibrated thresholds by monitor name; a monitor without one uses its fallback."""
+    """Calibrated thresholds by the monitors' names; a monitor without one uses its fallback."""
     calibration: str = ""
-    """How beta was found."""
+    """Description of the calibration of beta."""
     false_alarms_per_hour: float = 0.0
-    """Rate at which healthy robots leave vision with these thresholds; 0: never calibrated."""
+    """Rate at which healthy robots leave vision with these thresholds; 0 if never calibrated."""
     healthy_hours: float = 0.0
-    """Robot hours the thresholds were learnt from."""
+    """Duration of the runs of the calibration, robot hours."""
     longest_memory: float = 0.0
-    """Seconds for which VP may drive without an image, whatever error of its map it expects; 0: OP
-    takes over at once (the paper's switch)."""
+    """Longest time for which VP may drive without an image, s, however small the error of its map
+    that it expects. With 0 OP takes over at once, as in the paper."""
 
     def __post_init__(self) -> None:
         for name in ("beta", "rate_hz"):
@@ -76,8 +77,8 @@ class SelectorSpec:
     def used_thresholds(self) -> dict[str, float]:
         """Thresholds of the monitors that the mode `memory` uses, by name.
 
-        Calibrated ones, else the monitor's fallback. The reconstruction falls back to beta, unless
-        there is a threshold of the variance, which judges the same images better.
+        These are calibrated ones or the monitors' fallbacks. The fallback of `reconstruction` is
+        beta, unless there is a threshold of `variance`, which judges the same images better.
         """
         fallbacks = {name: monitor.fallback for name, monitor in MONITORS.items()}
         if "variance" not in self.thresholds:
@@ -87,29 +88,30 @@ class SelectorSpec:
 
 
 class _Limits(NamedTuple):
-    """Monitors, and the least score to which each objects: made once, read at every step."""
+    """Thresholds of some monitors as an array, which is built once and read in every step."""
 
     names: tuple[str, ...]
+    """Names of the monitors."""
     values: np.ndarray
-    """[monitors, 1]"""
+    """Smallest scores to object to, [monitors, 1]."""
 
     @classmethod
     def of(cls, thresholds: Mapping[str, float]) -> "_Limits":
-        """Those of thresholds by the monitor's name."""
+        """Convert thresholds by the monitors' names."""
         return cls(tuple(thresholds), np.array([*thresholds.values()])[:, None])
 
 
 class MonitorSelector:
-    """Decides for N robots which images VP gets and whether VP or OP drives.
+    """Selector of N robots: images that VP gets, and the estimator that drives.
 
-    VP drives while it sees or remembers: while its newest tick had an image, or for
-    `longest_memory` seconds after the last one that had, unless a monitor of the estimators
-    objects. Without a memory, every monitor speaks for itself: VP drives while none objects.
+    With a memory, VP drives for up to `longest_memory` seconds after its last tick with an image,
+    unless a monitor of the estimators objects. Without a memory, VP drives while no monitor
+    objects.
 
-    However often `update` is called, the filter takes `spec.rate_hz` verdicts a second. Verdicts
-    due between two calls are those of the later call: a caller at 50 Hz hands the same verdict to a
-    200 Hz filter four times, and an image every 0.1 s counts 20 times. So the filter delays the
-    switch by 35 ms and smooths shorter flicker, but does not average over images.
+    The filter is updated `spec.rate_hz` times a second, however often `update` is called. Updates
+    between two calls use the verdicts of the later call: a caller at 50 Hz gives the same verdict
+    to a filter of 200 Hz four times, and an image every 0.1 s counts 20 times. The filter thus
+    delays the switch by 35 ms and ignores shorter changes, but does not average over images.
     """
 
     def __init__(
@@ -121,33 +123,49 @@ class MonitorSelector:
         between_returns: float = BETWEEN_RETURNS,
         longest_memory: float = 0.0,
     ) -> None:
-        """Let N robots begin with vision.
+        """Initialize the selector; all robots begin with vision.
 
         Args:
-            thresholds: of the monitors to use, by name.
-            spec: gives the filter's gamma and rate.
-            num_robots: N.
-            dwell: seconds of the caller's clock without an objection before vision is used again.
-            between_returns: shortest time between two returns to vision, s of the same clock.
-            longest_memory: seconds for which VP may drive without an image.
+            thresholds: Thresholds of the monitors to use, by name.
+            spec: Settings, of which this class uses gamma and rate of the filter.
+            num_robots: Number of robots, N.
+            dwell: Time without an objection before vision is used again, s of the caller's clock.
+            between_returns: Shortest time between two returns to vision, s of the same clock.
+            longest_memory: Longest time for which VP may drive without an image, s.
         """
-        self.spec, self.dwell, self.between_returns = spec, dwell, between_returns
+        self.spec = spec
+        self.dwell = dwell
+        self.between_returns = between_returns
         self.longest_memory = longest_memory
         self.thresholds = {name: thresholds[name] for name in MONITORS if name in thresholds}
         """Thresholds of the monitors in use, by name, in the order of `MONITORS`."""
         self.probability = np.ones(num_robots)
         """Vision probability P_t, [N]."""
         self.vision = np.ones(num_robots, bool)
-        """Whether each robot uses vision, [N]."""
+        """True where VP drives, [N] bool."""
         self.without_image = np.zeros(num_robots)
-        """Seconds since VP's newest tick with an image, [N]; infinite before the first."""
+        """Time since VP's newest tick with an image, [N] s; infinite before the first."""
         self.reason = np.full(num_robots, "", object)
-        """Reason of the first monitor that objected when the robot last ceased to see, [N]; empty
-        while it sees."""
-        used = [(MONITORS[name], name, limit) for name, limit in self.thresholds.items()]
-        self._judged = _Limits.of({n: x for m, n, x in used if not (longest_memory and m.of_image)})
-        self._before_vision = _Limits.of({n: x for m, n, x in used if m.of_image and not m.output})
-        self._limits = {m.output: limit for m, _, limit in used if m.output}
+        """Reason of the first monitor that objected when the robot last stopped seeing, [N] text;
+        empty while it sees."""
+
+        # Monitors that decide who drives, those that withhold images before the vision model has
+        # run, and those of the vision model's outputs.
+        judged = {}
+        before_vision = {}
+        self._limits = {}
+        for name, limit in self.thresholds.items():
+            monitor = MONITORS[name]
+            if not (longest_memory and monitor.of_image):
+                judged[name] = limit
+            if monitor.of_image and not monitor.output:
+                before_vision[name] = limit
+            if monitor.output:
+                self._limits[monitor.output] = limit
+        self._judged = _Limits.of(judged)
+        self._before_vision = _Limits.of(before_vision)
+
+        # State of the monitors and of the filter.
         self._scorer = Scorer(num_robots)
         self._looked = False
         self._since_late = np.full(num_robots, STEADY)
@@ -158,17 +176,17 @@ class MonitorSelector:
 
     @property
     def state(self) -> np.ndarray:
-        """Whether each robot sees, remembers or is blind, [N] of `STATES`."""
+        """State of each robot, [N] of `SEES`, `REMEMBERS` or `BLIND`."""
         return _STATES[np.where(self.vision, self.without_image > 0, 2)]
 
     def look(self, seen: SelectorInput) -> Gate | None:
         """Judge the images of a tick before the vision model runs; called once in every tick.
 
         Args:
-            seen: image, fresh, age and invalid; the rest is ignored.
+            seen: State of vision, of which image, fresh, age and invalid are used.
 
         Returns:
-            Which images VP may use; None without a memory: all.
+            Gate that withholds images from VP; None without a memory, when VP uses all images.
         """
         verdicts = self._verdicts(seen, self._before_vision)
         self._looked = True
@@ -176,79 +194,106 @@ class MonitorSelector:
             return None
         late = seen.age >= self.thresholds.get("frame_age", math.inf)
         self._since_late = np.where(late, 0, self._since_late + seen.fresh)
-        # An image that is shown again is no new one.
+        # VP must not use an image twice.
         acceptable = seen.fresh & (self._since_late >= STEADY)
         return Gate(acceptable & np.logical_and.reduce(verdicts), self._limits)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
-        """Judge vision at one moment, and decide who drives.
+        """Judge vision at one time, and decide who drives.
 
         Args:
-            seen: the fields that the monitors need.
-            now: seconds on any clock; while it stands or runs backwards nothing is decided.
+            seen: State of vision, with the fields that the monitors need.
+            now: Time on any clock, s. While it stands still or runs backwards, nothing is decided.
 
         Returns:
-            Whether VP drives, [N] bool.
+            True where VP drives, [N] bool.
         """
-        if self._looked and seen.fresh.any():  # `look` has counted these images.
+        # `look` has counted these images.
+        if self._looked and seen.fresh.any():
             seen = replace(seen, fresh=np.zeros_like(seen.fresh))
         self._looked = False
-        verdicts = self._verdicts(seen, self._judged)  # At every call: it counts images.
+        # In every call, because the scorer counts images.
+        verdicts = self._verdicts(seen, self._judged)
         due = self._due(now)
         if due == 0:
             return self.vision
-        good = healthy = np.logical_and.reduce(verdicts)
-        if self.longest_memory:  # VP has a good image; and it may drive, perhaps without one.
+
+        # `good`: VP has a good image. `healthy`: VP may drive, perhaps without an image.
+        healthy = np.logical_and.reduce(verdicts)
+        good = healthy
+        if self.longest_memory:
             good = seen.has_image
             self._last_good = np.where(good, now, self._last_good)
             self.without_image = now - self._last_good
             healthy = healthy & (self.without_image <= self.longest_memory)
+
+        # Filter the verdicts (RENet eq. 5).
         self.probability = low_pass(self.probability, healthy, self.spec.gamma, due)
         likely = self.probability > VISION_THRESHOLD
         self._good_since = np.where(good & healthy, np.minimum(self._good_since, now), np.inf)
-        if (self.vision & likely & good & healthy).all():  # As almost always.
+        # Almost always all robots see and continue to see.
+        if (self.vision & likely & good & healthy).all():
             self.reason[:] = ""
             return self.vision
+
+        # Robots that leave vision or return to it. Tolerances are for rounding of the clock.
         leaving = self.vision & ~likely
-        dwelt = now - self._good_since >= self.dwell - 1e-9
-        rested = now - self._returned >= self.between_returns - 1e-9
-        returning = ~self.vision & likely & dwelt & rested
+        has_dwelt = now - self._good_since >= self.dwell - 1e-9
+        has_rested = now - self._returned >= self.between_returns - 1e-9
+        returning = ~self.vision & likely & has_dwelt & has_rested
         self._returned[returning] = now
         self.vision = (self.vision & likely) | returning
-        self.reason[self.vision & good] = ""
-        ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
-        self._explain(~(good & healthy) & (leaving | ceasing), seen)
-        if self.longest_memory:
-            # What spoilt the images is no news: that it lasts ends the memory.
-            expired = leaving & np.isfinite(self.without_image)
-            expired &= self.without_image > self.longest_memory
-            lasts = f" for {self.longest_memory:g} s, as long as it remembers"
-            for robot in np.flatnonzero(expired):
-                self.reason[robot] += lasts
+        self._update_reasons(seen, good, healthy, leaving)
         return self.vision
 
+    def _update_reasons(
+        self, seen: SelectorInput, good: np.ndarray, healthy: np.ndarray, leaving: np.ndarray
+    ) -> None:
+        """Set the reasons of robots that stop seeing, and clear those of robots that see.
+
+        Args:
+            seen: State of vision.
+            good: True where VP has a good image, [N] bool.
+            healthy: True where VP may drive, [N] bool.
+            leaving: True for robots that leave vision now, [N] bool.
+        """
+        self.reason[self.vision & good] = ""
+        # With a memory, a robot needs a reason as soon as it has no image.
+        ceasing = ~good & (self.reason == "") if self.longest_memory else leaving
+        self._explain(~(good & healthy) & (leaving | ceasing), seen)
+        if not self.longest_memory:
+            return
+        # A memory ends because the first cause lasts, which is appended to its reason.
+        expired = leaving & np.isfinite(self.without_image)
+        expired &= self.without_image > self.longest_memory
+        lasts = f" for {self.longest_memory:g} s, as long as it remembers"
+        for robot in np.flatnonzero(expired):
+            self.reason[robot] += lasts
+
     def _verdicts(self, seen: SelectorInput, limits: "_Limits") -> np.ndarray:
-        """Whether each monitor finds vision healthy, [monitors, N] bool."""
+        """Return the monitors' verdicts, [monitors, N] bool; True for healthy vision."""
         return self._scorer.scores(seen, limits.names) < limits.values
 
     def _explain(self, robots: np.ndarray, seen: SelectorInput) -> None:
-        """Set the reason of the masked robots [N] to that of the first monitor that objects."""
+        """Set the reason of each masked robot, [N] bool, to that of the first monitor to object."""
         if not robots.any():
             return
+        # The scorer has counted the images already.
         counted = replace(seen, fresh=np.zeros_like(seen.fresh))
         verdicts = self._verdicts(counted, _Limits.of(self.thresholds))
         for robot in np.flatnonzero(robots):
             for name, good in zip(self.thresholds, verdicts[:, robot], strict=True):
-                # The first withheld image gave the reason.
+                # A monitor of images does not replace the reason of the first withheld image.
                 if not good and not (self.reason[robot] and MONITORS[name].of_image):
                     self.reason[robot] = MONITORS[name].reason
                     break
             else:
+                # No monitor objects to an image that is withheld after a late one.
                 if self._since_late[robot] < STEADY and not self.reason[robot]:
                     self.reason[robot] = MONITORS["frame_age"].reason
 
     def distrust(self, mask: np.ndarray, reason: str) -> None:
-        """Let OP drive the masked robots [N] at once, whatever the monitors say, for a reason."""
+        """Let OP drive the masked robots, [N] bool, at once, whatever the monitors say."""
         self.probability[mask] = 0.0
         self.vision = self.vision & ~mask
         self._good_since[mask] = np.inf
@@ -256,7 +301,7 @@ class MonitorSelector:
         self.reason[mask] = reason
 
     def reset(self, mask: np.ndarray | None = None) -> None:
-        """Use vision again and forget the past of the masked robots [N], by default of all."""
+        """Use vision again, and forget the past of the masked robots, [N] bool; by default all."""
         if mask is None:
             self._periods = None
             mask = np.ones(len(self.vision), bool)
@@ -264,14 +309,15 @@ class MonitorSelector:
         self.vision = self.vision | mask
         self.without_image[mask] = 0.0
         self.reason[mask] = ""
-        self._last_good[mask] = self._returned[mask] = -np.inf
+        self._last_good[mask] = -np.inf
+        self._returned[mask] = -np.inf
         self._since_late[mask] = STEADY
         self._scorer.reset(mask)
 
     def _due(self, now: float) -> int:
-        """Filter updates due since the last call, at multiples of their period."""
+        """Return the number of filter updates since the last call, at multiples of their period."""
         ticks = now * self.spec.rate_hz
-        # Rounding of the clock must not swallow an update.
+        # The tolerance keeps rounding of the clock from losing an update.
         periods = math.floor(ticks + 1e-4)
         last = math.ceil(ticks - 1e-4) - 1 if self._periods is None else self._periods
         self._periods = max(last, periods)
@@ -279,9 +325,9 @@ class MonitorSelector:
 
 
 def check_selector(spec: SelectorSpec) -> None:
-    """Raise RenetError for a selector that would not leave a broken camera within a second or so.
+    """Raise RenetError for a selector that would not leave a broken camera in about a second.
 
-    Studies may build such selectors; no bundle may hold one.
+    Studies may build such selectors, but bundles must not contain them.
     """
     if not 10.0 <= spec.rate_hz <= 1000.0:
         raise RenetError(f"selector.rate_hz must be from 10 to 1000 Hz, got {spec.rate_hz:g}")
@@ -304,10 +350,19 @@ def check_selector(spec: SelectorSpec) -> None:
 
 
 def make_selector(kind: str, spec: SelectorSpec, num_robots: int = 1) -> MonitorSelector:
-    """A selector for N robots by its name, one of `SELECTORS`; raises RenetError for another."""
+    """Build a selector.
+
+    Args:
+        kind: One of `SELECTORS`.
+        spec: Settings.
+        num_robots: Number of robots, N.
+
+    Raises:
+        RenetError: There is no such kind.
+    """
     demand_name("selector", kind, SELECTORS)
     if kind == "switch":
         beta = {"reconstruction": spec.beta}
         return MonitorSelector(beta, spec, num_robots, dwell=0.0, between_returns=0.0)
-    thresholds, memory = spec.used_thresholds, spec.longest_memory
-    return MonitorSelector(thresholds, spec, num_robots, longest_memory=memory)
+    memory = spec.longest_memory
+    return MonitorSelector(spec.used_thresholds, spec, num_robots, longest_memory=memory)

@@ -44,7 +44,7 @@ class NetworkActuator(IdealPdActuator[NetworkActuatorCfg]):
         super().initialize(mj_model, model, data, device)
         self._network = self.cfg.network.converted(lambda array: torch.tensor(array, device=device))
         shape = (data.nworld, len(self.target_names), SAMPLES)
-        # The network's inputs, newest first.
+        # The network's inputs, newest first: [N, J, SAMPLES].
         self._errors = torch.zeros(shape, device=device)
         self._velocities = torch.zeros(shape, device=device)
         # The inputs after the next physics step.
@@ -105,30 +105,24 @@ def use_motors(cfg: RenetEnvCfg, motors: MotorModel | None) -> None:
     articulation = cfg.scene.entities["robot"].articulation
     assert articulation is not None
     if isinstance(motors, MotorFit):
-        articulation.actuators = tuple(
-            _measured_servo(articulation.actuators, joint, motors) for joint in JOINTS
-        )
+        servos = [_measured_servo(articulation.actuators, joint, motors) for joint in JOINTS]
+        articulation.actuators = tuple(servos)
         delay = motors.array("delay").tolist()
         cfg.motors.joint_delay = dict(zip(JOINTS, delay, strict=True))
     else:
         if not cfg.motors.ideal:
             raise RenetError("a network of motors takes neither delays nor torque–speed curves")
-        articulation.actuators = tuple(
-            NetworkActuatorCfg(network=motors, **_servo_fields(servo))
-            for servo in articulation.actuators
-        )
+        networks = []
+        for servo in articulation.actuators:
+            networks.append(NetworkActuatorCfg(network=motors, **_servo_fields(servo)))
+        articulation.actuators = tuple(networks)
 
 
 def _measured_servo(
     actuators: tuple[ActuatorCfg, ...], joint: str, fit: MotorFit
 ) -> BuiltinPositionActuatorCfg:
     """Return the servo of a joint, of a robot's actuators, with measured inertia and friction."""
-    servo = next(
-        actuator
-        for actuator in actuators
-        if any(re.fullmatch(pattern, joint) for pattern in actuator.target_names_expr)
-    )
-    assert isinstance(servo, BuiltinPositionActuatorCfg)
+    servo = _servo_of(actuators, joint)
     motor = fit.of(joint)
     return replace(
         servo,
@@ -137,6 +131,15 @@ def _measured_servo(
         viscous_damping=motor.damping,
         frictionloss=motor.friction,
     )
+
+
+def _servo_of(actuators: tuple[ActuatorCfg, ...], joint: str) -> BuiltinPositionActuatorCfg:
+    """Find the servo of a joint by the patterns of its joints' names."""
+    for servo in actuators:
+        if any(re.fullmatch(pattern, joint) for pattern in servo.target_names_expr):
+            assert isinstance(servo, BuiltinPositionActuatorCfg)
+            return servo
+    raise AssertionError(f"no actuator drives {joint}")
 
 
 def _servo_fields(servo: ActuatorCfg) -> dict[str, Any]:

@@ -72,28 +72,7 @@ def randomize(
         camera_position: Largest error of the camera's position along each axis, m.
         camera_angle: Largest error of the camera's pitch and yaw, rad.
     """
-    motors = SceneEntityCfg("robot", actuator_names=[".*"])
-    joints = SceneEntityCfg("robot", joint_names=(".*",))
-    if motor_strength:
-        cfg.events["motor_strength"] = _at_startup(
-            mdp.dr.effort_limits,
-            asset_cfg=motors,
-            effort_limit_range=(1.0 - motor_strength, 1.0 + motor_strength),
-        )
-    if damping:
-        cfg.events["damping"] = _at_startup(mdp.servo_damping, multiples=damping)
-    if armature:
-        cfg.events["armature"] = _at_startup(
-            mdp.dr.joint_armature,
-            asset_cfg=joints,
-            operation="scale",
-            ranges=armature,
-            shared_random=True,
-        )
-    if joint_friction:
-        cfg.events["joint_friction"] = _at_startup(
-            mdp.dr.joint_friction, asset_cfg=joints, operation="add", ranges=(0.0, joint_friction)
-        )
+    _randomize_motors(cfg, motor_strength, damping, armature, joint_friction)
     if no_load_speed:
         cfg.motors.no_load_speed = no_load_speed
     if joint_offset:
@@ -109,6 +88,38 @@ def randomize(
         position_error=camera_position or camera.mount.position_error,
         angle_error=camera_angle or camera.mount.angle_error,
     )
+
+
+def _randomize_motors(
+    cfg: RenetEnvCfg,
+    strength: float,
+    damping: tuple[float, float] | None,
+    armature: tuple[float, float] | None,
+    friction: float,
+) -> None:
+    """Add randomisation of the motors' physical parameters (see `randomize`)."""
+    motors = SceneEntityCfg("robot", actuator_names=[".*"])
+    joints = SceneEntityCfg("robot", joint_names=(".*",))
+    if strength:
+        cfg.events["motor_strength"] = _at_startup(
+            mdp.dr.effort_limits,
+            asset_cfg=motors,
+            effort_limit_range=(1.0 - strength, 1.0 + strength),
+        )
+    if damping:
+        cfg.events["damping"] = _at_startup(mdp.servo_damping, multiples=damping)
+    if armature:
+        cfg.events["armature"] = _at_startup(
+            mdp.dr.joint_armature,
+            asset_cfg=joints,
+            operation="scale",
+            ranges=armature,
+            shared_random=True,
+        )
+    if friction:
+        cfg.events["joint_friction"] = _at_startup(
+            mdp.dr.joint_friction, asset_cfg=joints, operation="add", ranges=(0.0, friction)
+        )
 
 
 def flat_env_cfg(play: bool = False, robot: Robot = VISUAL_GO1) -> RenetEnvCfg:

@@ -14,7 +14,7 @@ from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 # mjlab's command line accepts only its subclasses; `Tile` itself must not import mjlab.
 SubTerrainCfg.register(Tile)
 
-UNSEEN = 1
+EVALUATION_SEED = 1
 """Seed of the tiles of evaluation; that of training is 0."""
 
 
@@ -61,11 +61,15 @@ def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
         tile, difficulty = find_tile("rough" if kind == "flat" else kind, level)
         size = 0.0 if kind == "flat" else tile.measure(difficulty)
         kinds[kind] = replace(tile, low=size, high=size, proportion=1.0, flat_start=False)
-    return parkour_terrain(UNSEEN, kinds, levels=1)
+    return parkour_terrain(EVALUATION_SEED, kinds, levels=1)
 
 
 def course_row(courses: Mapping[str, Course]) -> TerrainEntityCfg:
-    """Courses side by side, by name; tiles are as long as the longest of them."""
+    """Configure courses side by side; all tiles are as long as the longest course.
+
+    Args:
+        courses: Courses by name.
+    """
     generator = TerrainGeneratorCfg(
         curriculum=True,
         size=(max(course.length for course in courses.values()), WIDTH),
@@ -89,7 +93,7 @@ def own_ground(tile: Tile, level: int) -> TerrainEntityCfg:
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
     size = tile.measure((level - 1) / (LEVELS - 1))
-    return parkour_terrain(UNSEEN, {KIND: replace(tile, low=size, high=size)}, levels=1)
+    return parkour_terrain(EVALUATION_SEED, {KIND: replace(tile, low=size, high=size)}, levels=1)
 
 
 def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -> None:
@@ -111,6 +115,7 @@ def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -
     if share == 1.0:
         generator.sub_terrains = cast(Any, {KIND: replace(tile, proportion=1.0)})
         return
+    # Proportions are relative to each other: that of the new kind follows from the others' sum.
     others = {kind: cfg for kind, cfg in generator.sub_terrains.items() if kind != KIND}
     total = sum(cfg.proportion for cfg in others.values())
     proportion = share / (1.0 - share) * total

@@ -1,11 +1,11 @@
 """Courses: several obstacles in a row, walked along x.
 
-A `Course` is one tile. Its obstacles are as wide as the tile, so that none can be walked around,
-and heights add up: what follows stairs lies higher or lower than what is before them. The benchmark
-draws its courses (`renet.evaluation.benchmark.episodes`); `benchmarks/paper/kilometre.py` lays out
-the paper's long walk.
+A `Course` is one tile. Its obstacles are as wide as the tile, so that robots cannot walk around
+them. Heights add up: the ground after stairs is higher or lower than the ground before them. The
+benchmark draws random courses (`renet.evaluation.benchmark.episodes`), and
+`benchmarks/paper/kilometre.py` builds the paper's long walk.
 
-Positions along a course count from where the robot starts, in metres; so do heights.
+Positions along a course and heights are in metres from the start of the robot.
 """
 
 from __future__ import annotations
@@ -33,40 +33,53 @@ from renet.terrain.tiles import (
 )
 
 WIDTH = 18.0
-"""Width of a course, m: robots may walk askew."""
-BEFORE = 1.0
+"""Width of a course, m. It is wide because robots do not walk straight."""
+GROUND_BEFORE = 1.0
 """Ground behind the start, m."""
-AFTER = 2.5
+GROUND_AFTER = 2.5
 """Ground after the last obstacle, m."""
 PIT_DEPTH = 1.0
 """Depth of gaps, m."""
 
 Profile = list[tuple[float, float]]
-"""Corners (position, height) of the line on which feet walk, m."""
+"""Corners (position, height) of the line along which feet walk, m."""
 
 
 class Strip(TileBuilder):
-    """Builds a course's tile; y is 0 on the middle line."""
+    """Builder of a course's tile. x is 0 at the robot's start, y on the middle line."""
 
     def __init__(self, spec: mujoco.MjSpec, bottom: float) -> None:
-        """Begin a tile; bottom: height of the lower faces of all ground, m."""
-        super().__init__(spec, (BEFORE, WIDTH / 2))
+        """Initialize an empty tile.
+
+        Args:
+            spec: Scene of the tile.
+            bottom: Height of the lower faces of all ground, m.
+        """
+        super().__init__(spec, (GROUND_BEFORE, WIDTH / 2))
         self.bottom = bottom
 
     def ground(self, start: float, end: float, top: float, color: Color = STONE) -> None:
-        """Add ground over the whole width."""
+        """Add ground over the whole width, between two x, with its surface at `top`, m."""
         self.box((start, end), (-WIDTH / 2, WIDTH / 2), (self.bottom, top), color)
 
     def obstacle(self, x: Range, z: Range, color: Color = ACCENT, y: Range | None = None) -> None:
-        """Add a box that stands on the ground; y: its sides, by default the course's."""
+        """Add a box on the ground, given its ranges in m; by default it has the whole width."""
         box = self.box(x, y or (-WIDTH / 2, WIDTH / 2), z, color)
         box.group = OBSTACLE_GROUP
 
     def slab(self, start: tuple[float, float], end: tuple[float, float], thick: float) -> None:
-        """Add a tilted plate over the whole width, whose upper face joins two points (x, z)."""
-        run, rise = end[0] - start[0], end[1] - start[1]
+        """Add a tilted plate over the whole width.
+
+        Args:
+            start: Point (x, z) at which its upper face begins, m.
+            end: Point (x, z) at which its upper face ends, m.
+            thick: Thickness, m.
+        """
+        run = end[0] - start[0]
+        rise = end[1] - start[1]
         angle = math.atan2(rise, run)
-        # From the middle of the upper face half the thickness down along its normal.
+        # The middle of the plate is half its thickness below the middle of its upper face, along
+        # the normal.
         x = (start[0] + end[0]) / 2 + thick / 2 * math.sin(angle)
         z = (start[1] + end[1]) / 2 - thick / 2 * math.cos(angle)
         geom = self.body.add_geom(
@@ -82,7 +95,7 @@ class Strip(TileBuilder):
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Base of what lies across a course."""
+    """Base of the obstacles across a course."""
 
     kind: ClassVar[str]
 
@@ -93,43 +106,52 @@ class Obstacle:
 
     @property
     def climb(self) -> float:
-        """Height of the ground after it over that before it, m."""
+        """Height of the ground behind the obstacle above that in front of it, m."""
         return 0.0
 
     @property
     def lowest(self) -> float:
-        """Lowest surface relative to the ground before it, m."""
+        """Height of the lowest surface above the ground in front of the obstacle, m."""
         return min(0.0, self.climb)
 
     def profile(self) -> Profile:
-        """The line on which feet walk, from its first edge and the ground before it."""
+        """Return the line along which feet walk, from the first edge at (0, 0)."""
         return [(0.0, 0.0), (self.extent, self.climb)]
 
     def build(self, strip: Strip, x: float, z: float, rng: np.random.Generator) -> None:
-        """Add its geoms and the ground below it.
+        """Add the obstacle's geoms, and the ground below it, to a course.
 
         Args:
-            strip: to add them to. x: position of its first edge, m.
-            z: height of the ground before it, m. rng: for what is random in it.
+            strip: Builder of the course's tile.
+            x: Position of the obstacle's first edge, m.
+            z: Height of the ground in front of it, m.
+            rng: Generator of its random numbers.
         """
         raise NotImplementedError
 
     def record(self) -> dict[str, Any]:
-        """Its kind and sizes, for JSON."""
+        """Return kind and sizes for JSON."""
         return {"kind": self.kind} | asdict(self)
 
 
-@dataclass(frozen=True)
-class Plain(Obstacle):
-    """Flat ground, for stretches on which only the camera fails."""
+class Stretch(Obstacle):
+    """Base of the obstacles whose `length` is a field."""
 
-    kind: ClassVar[str] = "plain"
     length: float
+    """Length along the course, m."""
 
     @property
     def extent(self) -> float:
         """Length along the course, m."""
         return self.length
+
+
+@dataclass(frozen=True)
+class Plain(Stretch):
+    """Flat ground, for stretches on which only the camera fails."""
+
+    kind: ClassVar[str] = "plain"
+    length: float
 
     def build(self, strip: Strip, x: float, z: float, rng: np.random.Generator) -> None:
         """Add the ground."""
@@ -142,16 +164,16 @@ class Gap(Obstacle):
 
     kind: ClassVar[str] = "gap"
     width: float
-    """m"""
+    """Width of the gap along the course, m."""
 
     @property
     def extent(self) -> float:
-        """Width, m."""
+        """Width of the gap, m."""
         return self.width
 
     @property
     def lowest(self) -> float:
-        """The floor of the gap, m."""
+        """Height of the gap's floor, m."""
         return -PIT_DEPTH
 
     def build(self, strip: Strip, x: float, z: float, rng: np.random.Generator) -> None:
@@ -160,19 +182,13 @@ class Gap(Obstacle):
 
 
 @dataclass(frozen=True)
-class Platform(Obstacle):
+class Platform(Stretch):
     """A box to climb onto and down from."""
 
     kind: ClassVar[str] = "platform"
     height: float
-    """m"""
+    """Height of the top, m."""
     length: float
-    """Of its top, m."""
-
-    @property
-    def extent(self) -> float:
-        """Length of the top, m."""
-        return self.length
 
     def build(self, strip: Strip, x: float, z: float, rng: np.random.Generator) -> None:
         """Add the box, on ground."""
@@ -186,14 +202,15 @@ class Stairs(Obstacle):
 
     kind: ClassVar[str] = "stairs"
     rise: float
-    """Height of a step, m; below zero stairs go down."""
+    """Height of a step, m; negative for stairs that go down."""
     tread: float
     """Depth of a step, m."""
     steps: int
+    """Number of steps."""
 
     @property
     def extent(self) -> float:
-        """From the first step's edge to the last one's end, m."""
+        """Distance from the edge of the first step to the end of the last one, m."""
         return self.tread * self.steps
 
     @property
@@ -207,7 +224,8 @@ class Stairs(Obstacle):
         strip.ground(x, x + self.extent, floor)
         for step in range(self.steps):
             start = x + step * self.tread
-            # Down: the first tread lies one rise below the ground before the stairs.
+            # Downstairs the first tread is one step below the ground in front of the stairs, and
+            # the last one is the ground behind them.
             top = z + self.rise * (step + 1)
             if top > floor + 1e-6:
                 color = STONE if step % 2 else STEEL
@@ -215,21 +233,15 @@ class Stairs(Obstacle):
 
 
 @dataclass(frozen=True)
-class Blocks(Obstacle):
+class Blocks(Stretch):
     """A field of scattered blocks."""
 
     kind: ClassVar[str] = "blocks"
     height: float
-    """Of the highest block; the lowest one has half of it, m."""
+    """Largest height of a block, m; the smallest is half of it."""
     length: float
-    """Of the field, m."""
     density: float = 0.7
-    """Blocks on a square metre; each has sides of 0.4 to 1.0 m."""
-
-    @property
-    def extent(self) -> float:
-        """Length of the field, m."""
-        return self.length
+    """Number of blocks per square metre; each has sides of 0.4 to 1.0 m."""
 
     def build(self, strip: Strip, x: float, z: float, rng: np.random.Generator) -> None:
         """Add the blocks, on ground."""
@@ -260,16 +272,16 @@ class Ramp(Obstacle):
 
     @property
     def height(self) -> float:
-        """Of the landing, m."""
+        """Height of the landing, m."""
         return self.run * math.tan(math.radians(self.slope))
 
     @property
     def extent(self) -> float:
-        """Both ramps and the landing, m."""
+        """Length of both ramps and the landing, m."""
         return 2 * self.run + self.landing
 
     def profile(self) -> Profile:
-        """Up, along the landing, and down."""
+        """Return the line up, along the landing, and down."""
         top = self.height
         return [
             (0.0, 0.0),
@@ -281,16 +293,18 @@ class Ramp(Obstacle):
     def build(self, strip: Strip, x: float, z: float, rng: np.random.Generator) -> None:
         """Add the landing and two tilted plates, on ground."""
         strip.ground(x, x + self.extent, z)
-        first, last = x + self.run, x + self.run + self.landing
-        strip.obstacle((first, last), (z - 0.1, z + self.height))
-        strip.slab((x, z), (first, z + self.height), thick=0.1)
-        strip.slab((last, z + self.height), (x + self.extent, z), thick=0.1)
+        # The landing begins where the ramp up ends.
+        first = x + self.run
+        last = first + self.landing
+        top = z + self.height
+        strip.obstacle((first, last), (z - 0.1, top))
+        strip.slab((x, z), (first, top), thick=0.1)
+        strip.slab((last, top), (x + self.extent, z), thick=0.1)
 
 
-OBSTACLES: dict[str, type[Obstacle]] = {
-    kind.kind: kind for kind in (Plain, Gap, Platform, Stairs, Blocks, Ramp)
-}
-"""Every kind of obstacle by its name."""
+_KINDS = (Plain, Gap, Platform, Stairs, Blocks, Ramp)
+OBSTACLES: dict[str, type[Obstacle]] = {kind.kind: kind for kind in _KINDS}
+"""Kinds of obstacles by name."""
 
 
 @dataclass
@@ -299,17 +313,18 @@ class Course(Tile):
 
     obstacles: tuple[Obstacle, ...] = ()
     spaces: tuple[float, ...] = ()
-    """Ground before each obstacle, m; the first is the way from the start."""
+    """Length of the ground in front of each obstacle, m; the first counts from the start."""
     seed: int = 0
-    """Of what is random in the obstacles, whatever course is built beside it."""
+    """Seed of the obstacles' random numbers, which do not depend on other courses of a scene."""
 
     def __post_init__(self) -> None:
         if len(self.obstacles) != len(self.spaces):
             raise ValueError(f"{len(self.obstacles)} obstacles need as many spaces")
 
-    def laid_out(self) -> Iterator[tuple[Obstacle, float, float]]:
-        """Each obstacle, the position of its first edge, and the height of the ground before it."""
-        position, height = 0.0, 0.0
+    def placements(self) -> Iterator[tuple[Obstacle, float, float]]:
+        """Yield each obstacle with the position of its first edge and the height before it, m."""
+        position = 0.0
+        height = 0.0
         for obstacle, space in zip(self.obstacles, self.spaces, strict=True):
             position += space
             yield obstacle, position, height
@@ -319,26 +334,30 @@ class Course(Tile):
     @property
     def edges(self) -> np.ndarray:
         """First and last edge of each obstacle, [obstacles, 2] m."""
-        return np.array([(x, x + o.extent) for o, x, _ in self.laid_out()]).reshape(-1, 2)
+        edges = [(x, x + obstacle.extent) for obstacle, x, _ in self.placements()]
+        # A course without obstacles has an array of shape [0, 2].
+        return np.array(edges).reshape(-1, 2)
 
     @property
     def length(self) -> float:
         """Length of the whole tile, m."""
-        return BEFORE + sum(self.spaces) + sum(o.extent for o in self.obstacles) + AFTER
+        extent = sum(obstacle.extent for obstacle in self.obstacles)
+        return GROUND_BEFORE + sum(self.spaces) + extent + GROUND_AFTER
 
     @property
     def profile(self) -> np.ndarray:
-        """Corners (position, height) of the line on which feet walk, [corners, 2] m.
+        """Corners (position, height) of the line along which feet walk, [corners, 2] m.
 
-        Over a gap it stays at the height of the edges, on a platform at that of the ground.
+        Across a gap it stays at the height of the edges, on a platform at that of the ground.
         """
-        corners = [(-BEFORE, 0.0)]
-        for obstacle, x, z in self.laid_out():
-            corners += [(x + along, z + up) for along, up in obstacle.profile()]
+        corners = [(-GROUND_BEFORE, 0.0)]
+        for obstacle, x, z in self.placements():
+            for along, up in obstacle.profile():
+                corners.append((x + along, z + up))
         return np.array(corners)
 
     def walking_height(self, positions: np.ndarray) -> np.ndarray:
-        """Height of `profile` at positions of any shape, m."""
+        """Return the height of `profile`, m, at positions of any shape, m."""
         corners = self.profile
         return np.interp(positions, corners[:, 0], corners[:, 1])
 
@@ -346,15 +365,21 @@ class Course(Tile):
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
     ) -> BuiltTile:
         """Build the course with its corner at the origin, from where mjlab moves it."""
-        lowest = min((z + o.lowest for o, _, z in self.laid_out()), default=0.0)
-        strip = Strip(spec, bottom=min(lowest, 0.0) - 0.2)
-        own = np.random.default_rng(self.seed)
-        position, height = -BEFORE, 0.0
-        for obstacle, x, z in self.laid_out():
+        # All ground reaches down to the same depth, below the lowest surface.
+        lowest = 0.0
+        for obstacle, _, z in self.placements():
+            lowest = min(lowest, z + obstacle.lowest)
+        strip = Strip(spec, bottom=lowest - 0.2)
+
+        # The ground in front of each obstacle, and the obstacle.
+        own_rng = np.random.default_rng(self.seed)
+        position = -GROUND_BEFORE
+        height = 0.0
+        for obstacle, x, z in self.placements():
             strip.ground(position, x, z)
-            obstacle.build(strip, x, z, own)
+            obstacle.build(strip, x, z, own_rng)
             position = x + obstacle.extent
             height = z + obstacle.climb
-        # Courses beside longer ones go on to the end of their tile.
-        strip.ground(position, self.size[0] - BEFORE, height)
-        return BuiltTile(np.array([BEFORE, WIDTH / 2, 0.0]), strip.geometries)
+        # A course beside a longer one has ground up to the end of its tile.
+        strip.ground(position, self.size[0] - GROUND_BEFORE, height)
+        return BuiltTile(np.array([GROUND_BEFORE, WIDTH / 2, 0.0]), strip.geometries)

@@ -1,4 +1,4 @@
-"""Heights of somebody's own ground, from an array of NumPy's or a picture."""
+"""Heights of a user's own ground, read from a NumPy array or a picture."""
 
 from pathlib import Path
 from zipfile import BadZipFile
@@ -8,24 +8,30 @@ import numpy as np
 from renet.errors import RenetError, install, reason
 from renet.files import MEGABYTE, require_regular
 
-ARRAY, PICTURE = ".npy", ".png"
-"""Endings of the files that are read."""
+ARRAY = ".npy"
+"""Suffix of files with a NumPy array of heights."""
+PICTURE = ".png"
+"""Suffix of files with a picture, brighter where the ground is higher."""
 MAX_MAP = 100 * MEGABYTE
-"""Bytes of a file."""
+"""Largest size of a file, bytes."""
 MAX_SAMPLES = 16_000_000
-"""Samples of a map: 4,000 by 4,000."""
+"""Largest number of samples of a map: 4,000 by 4,000."""
 
 
 def read_heights(file: Path, height: float) -> np.ndarray:
-    """Heights [rows, columns] m: the first row is at the smallest y, the first column at x.
+    """Read a height map.
 
     Args:
-        file: a .npy of heights in m whose rows and columns are so, or a .png as seen from above,
-            whose top row is at the largest y.
-        height: m, of white above black in a picture.
+        file: Array (.npy) of heights in m, or picture (.png) of the ground from above, with its top
+            row at the largest y.
+        height: Height of white above black in a picture, m.
+
+    Returns:
+        Heights [rows, columns], m. The first row is at the smallest y, the first column at the
+        smallest x.
 
     Raises:
-        RenetError: there is no such file, it holds no map of finite heights, or it is too large.
+        RenetError: There is no such file, it holds no map of finite heights, or it is too large.
     """
     require_regular(file, MAX_MAP, "height map")
     heights = _picture(file) * height if file.suffix.lower() == PICTURE else _array(file)
@@ -43,7 +49,8 @@ def read_heights(file: Path, height: float) -> np.ndarray:
 
 
 def _array(file: Path) -> np.ndarray:
-    """Numbers of a .npy; nothing in it is ever executed."""
+    """Read the numbers of a .npy."""
+    # Pickled objects, which could run code, are refused; memory is mapped until the size is known.
     try:
         stored = np.load(file, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError, BadZipFile) as error:
@@ -55,7 +62,7 @@ def _array(file: Path) -> np.ndarray:
 
 
 def _picture(file: Path) -> np.ndarray:
-    """Brightness of a .png, 0 to 1, its top row last."""
+    """Read the brightness of a .png, from 0 to 1, with its top row last."""
     try:
         from PIL import Image
     except ModuleNotFoundError as error:
@@ -63,17 +70,18 @@ def _picture(file: Path) -> np.ndarray:
     try:
         with Image.open(file, formats=("PNG",)) as picture:
             _demand_size(file, picture.width * picture.height)
-            # Sixteen bits stay as they are; colours become grey.
-            deep = picture.mode.startswith("I")
-            grey = np.asarray(picture if deep else picture.convert("L"), float)
+            # Modes with I have 16 bits of grey, which a conversion would cut to 8.
+            has_16_bits = picture.mode.startswith("I")
+            grey = np.asarray(picture if has_16_bits else picture.convert("L"), float)
     except (OSError, ValueError, SyntaxError) as error:
         raise RenetError(
             f"the height map {file} is no .png that Pillow reads: {reason(error)}"
         ) from error
-    return grey[::-1] / (65535.0 if deep else 255.0)
+    return grey[::-1] / (65535.0 if has_16_bits else 255.0)
 
 
 def _demand_size(file: Path, samples: int) -> None:
+    """Raise RenetError for a map with too many samples."""
     if samples > MAX_SAMPLES:
         raise RenetError(
             f"the height map {file} has {samples:,} samples; at most {MAX_SAMPLES:,} are read: cut"
@@ -82,11 +90,17 @@ def _demand_size(file: Path, samples: int) -> None:
 
 
 def interpolate(heights: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Heights [R, C] between samples, linear along each axis.
+    """Interpolate heights between samples, linearly along each axis.
 
     Args:
-        heights: [rows, columns] m. rows, columns: places [R] and [C] among the samples, from 0.
+        heights: Heights of the samples, [rows, columns] m.
+        rows: Positions along the rows, [R], in samples from 0.
+        columns: Positions along the columns, [C], in samples from 0.
+
+    Returns:
+        Heights, [R, C] m.
     """
+    # The sample below each position, and the rest of the way to the next one.
     low_row = np.clip(rows.astype(int), 0, heights.shape[0] - 2)
     low_column = np.clip(columns.astype(int), 0, heights.shape[1] - 2)
     up = (rows - low_row)[:, None]

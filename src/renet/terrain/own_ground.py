@@ -1,6 +1,7 @@
-"""Somebody's own ground as a kind of tile: a height map, or the static geoms of an MJCF scene.
+"""A user's own ground as a kind of tile: a height map, or the static geoms of an MJCF scene.
 
-A scene is first tried in a process with limits, for MuJoCo may compile one without end.
+A scene is first compiled in a process of its own with limits (see `renet.trial`), because MuJoCo
+may need any time and memory for a file.
 """
 
 import sys
@@ -14,7 +15,7 @@ from renet.errors import RenetError
 from renet.files import MEGABYTE, require_regular
 from renet.terrain.height_map import ARRAY, PICTURE, interpolate, read_heights
 from renet.terrain.tiles import (
-    FLAT,
+    FLAT_RELIEF,
     LEVELS,
     STONE,
     TILE,
@@ -25,45 +26,56 @@ from renet.terrain.tiles import (
 from renet.trial import judge, run_trial
 
 SCENE = ".xml"
+"""Suffix of MJCF scenes."""
 KIND = "own"
-"""Name of the kind of tile among others."""
+"""Name of this kind of tile."""
 MAX_SCENE = 20 * MEGABYTE
-"""Bytes of an MJCF file."""
+"""Largest size of an MJCF file, bytes."""
 FINEST = 0.05
-"""Smallest distance between the samples of a tile, m: finer maps cost time in every contact."""
+"""Smallest distance between the samples of a tile, m. Finer maps cost time in every contact."""
 RIM = 0.4
-"""Metres over which a height map sinks or rises to zero at the tile's border."""
-START_PAD, START_SLOPE = 0.5, 0.4
-"""Half-width of the level square on which robots start, and of the ramp around it, m."""
+"""Width of the slope at a tile's border, over which a height map reaches height zero, m."""
+START_PAD = 0.5
+"""Half-width of the level square on which robots start, m."""
+START_SLOPE = 0.4
+"""Width of the slope around that square, m."""
 START_AREA = 0.4
-"""Half-width of the square around the middle of a scene whose highest point robots start above."""
+"""Half-width of the square in the middle of a scene above whose highest point robots start, m."""
 HEADROOM = 0.6
-"""Metres that must be free above the ground on which a robot starts."""
-ABOVE, BELOW = 1e-3, 1e-6
-"""Metres from a surface to the start of the next ray up and down."""
+"""Smallest free height above the ground on which a robot starts, m."""
+ABOVE = 1e-3
+"""Distance from a surface to the start of a ray upwards, m."""
+BELOW = 1e-6
+"""Distance from a surface to the start of the next ray downwards, m."""
 TOUCHED = 1
-"""The bit of a geom's contype that robots' geoms answer to."""
-CARRIED, IGNORED = 0, 5
-"""MuJoCo groups of geoms for rays that look for ground."""
+"""Bit of a geom's contype to which the robots' geoms respond."""
+CARRIED = 0
+"""MuJoCo's group of geoms that rays look for."""
+IGNORED = 5
+"""MuJoCo's group of geoms that rays pass through."""
 CORNER = np.array([TILE / 2, TILE / 2, 0.0])
-"""From a tile's corner to its middle, m."""
+"""Vector from a tile's corner to its middle, m."""
 BASE = 0.2
-"""Thickness of what lies below a height map, m."""
+"""Thickness of the ground below the lowest point of a height map, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroundFile:
-    """A file of ground, and what it does not say of itself."""
+    """File of a user's own ground, with the sizes that the file does not state."""
 
     file: Path
     """Height map (.npy, .png) or MJCF scene (.xml)."""
     width: float = TILE
-    """Metres that a height map is wide, along x."""
+    """Width of a height map along x, m."""
     height: float = 0.3
-    """Metres of white above black in a .png."""
+    """Height of white above black in a .png, m."""
 
     def tile(self) -> Tile:
-        """A tile of this ground; raises RenetError for a file of which none can be made."""
+        """Build a kind of tile from the file.
+
+        Raises:
+            RenetError: The file is no ground that a tile can have.
+        """
         kinds = {SCENE: OwnScene, ARRAY: OwnHeights, PICTURE: OwnHeights}
         kind = kinds.get(self.file.suffix.lower())
         if kind is None:
@@ -81,21 +93,22 @@ class GroundFile:
 
 @dataclass(kw_only=True)
 class OwnHeights(Tile):
-    """A height map: a tenth of its relief at level 1, all of it at level 10.
+    """Tile of a height map, with a tenth of its relief at level 1 and all of it at level 10.
 
-    Of a map that is wider than a tile, each level takes another piece, drawn at random. The middle
-    is level for robots to start on, and the border meets other tiles at height 0.
+    Of a map that is larger than a tile, each level shows a random piece. The middle of a tile is
+    level, so that robots can start there, and its border is at height 0 like those of other tiles.
     """
 
     source: GroundFile
+    """File of the map."""
 
     def __post_init__(self) -> None:
         source = self.source
         self.heights = read_heights(source.file, source.height)
-        """[rows, columns] m."""
+        """Heights of the samples, [rows, columns] m."""
         rows, columns = self.heights.shape
         self.cell = source.width / (columns - 1)
-        """Metres between samples."""
+        """Distance between samples, m."""
         depth = self.cell * (rows - 1)
         if min(source.width, depth) < TILE - 1e-6:
             needed = TILE * max(1.0, (columns - 1) / (rows - 1))
@@ -103,21 +116,25 @@ class OwnHeights(Tile):
                 f"the height map {source.file} is {source.width:g} m by {depth:g} m, smaller than a"
                 f" tile of {TILE:g} m: say that it is wider, --scene-width {needed:g}"
             )
-        self.relief = max(float(np.ptp(self.heights)), FLAT)
-        """Height of its highest point above its lowest, m."""
+        self.relief = max(float(np.ptp(self.heights)), FLAT_RELIEF)
+        """Height of the highest point above the lowest one, m."""
         if not self.high:
-            self.low, self.high = self.relief / LEVELS, self.relief
+            self.low = self.relief / LEVELS
+            self.high = self.relief
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add a piece of the map; returns the height of the start, m."""
+        # Draw the piece, and sample it no finer than FINEST.
         cell = max(self.cell, FINEST)
         nodes = round(TILE / cell) + 1
-        place = np.linspace(0.0, TILE, nodes) / self.cell
+        positions = np.linspace(0.0, TILE, nodes) / self.cell
         spare = np.array(self.heights.shape) - 1 - TILE / self.cell
         row, column = rng.uniform(0.0, np.maximum(spare, 0.0))
-        piece = interpolate(self.heights, row + place, column + place)
-        level = float(np.median(np.concatenate((piece[0], piece[-1], piece[:, 0], piece[:, -1]))))
-        piece = (piece - level) * (measure / self.relief)
+        piece = interpolate(self.heights, row + positions, column + positions)
+
+        # Most of the border keeps its height when the slope at the border is added.
+        border = np.concatenate((piece[0], piece[-1], piece[:, 0], piece[:, -1]))
+        piece = (piece - float(np.median(border))) * (measure / self.relief)
         piece, start = _with_start(piece)
         _add_heights(builder, piece * _rim(nodes))
         return start
@@ -125,39 +142,41 @@ class OwnHeights(Tile):
 
 @dataclass(kw_only=True)
 class OwnScene(Tile):
-    """What collides of an MJCF scene within the tile around its origin, the same at every level.
+    """Tile of an MJCF scene's colliding geoms around its origin, the same at all levels.
 
-    Boxes and planes that reach beyond are cut off at the tile's border.
+    Boxes and planes that are larger than the tile are cut off at its border.
     """
 
     source: GroundFile
+    """File of the scene."""
 
     def __post_init__(self) -> None:
-        try_scene(self.source.file)
+        try_own_scene(self.source.file)
         self.model = compile_scene(self.source.file)
-        """The scene by itself."""
+        """Model of the scene alone."""
         self._data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self._data)
         self.begin = start_height(self.model)
         """Height of the start, m."""
         tops = [self._top(geom) for geom in self._touched]
-        # The same at every level: what grows with it on other tiles.
+        # Sizes of obstacles, which do not grow with the level.
         self.low = self.high = max(tops) - min(tops)
+        # Build the tile once, so that geoms that it cannot have are reported at once.
         scratch = mujoco.MjSpec()
         scratch.worldbody.add_body(name="terrain")
-        self.build(TileBuilder(scratch), 0.0, np.random.default_rng(0))  # What cannot be is told.
+        self.build(TileBuilder(scratch), 0.0, np.random.default_rng(0))
 
     @property
     def _touched(self) -> list[int]:
-        """Numbers of the geoms that a robot can touch."""
+        """Indices of the geoms that a robot can touch."""
         return np.flatnonzero(self.model.geom_contype & TOUCHED).tolist()
 
     def _pose(self, geom: int) -> tuple[np.ndarray, np.ndarray]:
-        """Position [3] m and rotation [3, 3] of a geom in the scene."""
+        """Return the position, [3] m, and the rotation, [3, 3], of a geom in the scene."""
         return self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3)
 
     def _top(self, geom: int) -> float:
-        """Height of a geom's highest point, m."""
+        """Return the height of a geom's highest point, m."""
         model = self.model
         position, rotation = self._pose(geom)
         height = float(position[2])
@@ -174,8 +193,13 @@ class OwnScene(Tile):
         return self.begin
 
     def _add(self, builder: TileBuilder, geom: int) -> None:
-        """Add one geom of the scene, cut off at the tile's border; raises RenetError."""
-        model, kind = self.model, mujoco.mjtGeom(self.model.geom_type[geom])
+        """Add one geom of the scene, cut off at the tile's border.
+
+        Raises:
+            RenetError: A tile cannot have this shape, or the geom reaches beyond its border.
+        """
+        model = self.model
+        kind = mujoco.mjtGeom(model.geom_type[geom])
         position, rotation = self._pose(geom)
         upright = np.allclose(rotation, np.eye(3), atol=1e-6)
         color = (*model.geom_rgba[geom, :3].tolist(), 1.0)
@@ -197,25 +221,33 @@ class OwnScene(Tile):
 
 
 def _with_start(heights: np.ndarray) -> tuple[np.ndarray, float]:
-    """Heights [N, N] with a level middle and a ramp around it, and the height of the middle, m."""
-    place = np.abs(np.linspace(-TILE / 2, TILE / 2, len(heights)))
-    distance = np.maximum(place[:, None], place[None])
+    """Level the middle of a tile, with a slope around it.
+
+    Args:
+        heights: Heights of the tile, [N, N] m.
+
+    Returns:
+        The new heights, and the height of the middle, m.
+    """
+    position = np.abs(np.linspace(-TILE / 2, TILE / 2, len(heights)))
+    # In the maximum norm: from a square in the middle to the border.
+    distance = np.maximum(position[:, None], position[None])
     level = float(heights[distance <= START_PAD].mean())
     weight = np.clip((distance - START_PAD) / START_SLOPE, 0.0, 1.0)
     return level + (heights - level) * weight, level
 
 
 def _rim(nodes: int) -> np.ndarray:
-    """Weights [N, N] that fall to 0 at the border of a tile."""
-    place = np.linspace(0.0, TILE, nodes)
-    weight = np.clip(np.minimum(place, TILE - place) / RIM, 0.0, 1.0)
+    """Return weights [N, N] that fall to 0 at the border of a tile."""
+    position = np.linspace(0.0, TILE, nodes)
+    weight = np.clip(np.minimum(position, TILE - position) / RIM, 0.0, 1.0)
     return np.minimum(weight[:, None], weight[None])
 
 
 def _add_heights(builder: TileBuilder, heights: np.ndarray) -> None:
-    """Add a height field of the tile's size from heights [N, N], m."""
+    """Add a height field of the tile's size, with heights [N, N] m."""
     lowest = float(heights.min())
-    relief = max(float(np.ptp(heights)), FLAT)
+    relief = max(float(np.ptp(heights)), FLAT_RELIEF)
     field = builder.spec.add_hfield(
         name=f"{KIND}_{len(builder.spec.hfields)}",
         size=(TILE / 2, TILE / 2, relief, BASE),
@@ -240,12 +272,26 @@ def _add_box(
     color: tuple,
     name: str,
 ) -> None:
-    """Add what a tile holds of a box; raises RenetError for a turned one that reaches beyond."""
+    """Add the part of a box that is inside the tile.
+
+    Args:
+        builder: Builder of the tile.
+        position: Middle of the box, [3] m.
+        rotation: Rotation of the box, [3, 3].
+        half: Half of its sides, [3] m.
+        color: Color of the box.
+        name: Name of the box, for messages.
+
+    Raises:
+        RenetError: The box is turned and reaches beyond the border, so that it cannot be cut.
+    """
     reach = np.abs(rotation) @ half
-    low, high = position - reach, position + reach
+    low = position - reach
+    high = position + reach
     if (low[:2] >= TILE / 2).any() or (high[:2] <= -TILE / 2).any():
         return
-    if np.allclose(np.abs(rotation).max(axis=0), 1.0, atol=1e-6):  # Along the axes.
+    # A box along the axes is cut off.
+    if np.allclose(np.abs(rotation).max(axis=0), 1.0, atol=1e-6):
         low[:2] = np.maximum(low[:2], -TILE / 2)
         high[:2] = np.minimum(high[:2], TILE / 2)
         x, y, z = zip(low.tolist(), high.tolist(), strict=True)
@@ -277,7 +323,8 @@ def _add_field(
     half_x, half_y, relief, depth = model.hfield_size[number]
     reach = np.array([half_x, half_y, 0.0])
     _demand_inside(position - reach, position + reach, name)
-    rows, columns = int(model.hfield_nrow[number]), int(model.hfield_ncol[number])
+    rows = int(model.hfield_nrow[number])
+    columns = int(model.hfield_ncol[number])
     first = int(model.hfield_adr[number])
     field = builder.spec.add_hfield(
         name=f"{KIND}_{len(builder.spec.hfields)}",
@@ -296,6 +343,7 @@ def _add_field(
 
 
 def _demand_inside(low: np.ndarray, high: np.ndarray, name: str) -> None:
+    """Raise RenetError for a geom between the corners `low` and `high` that leaves the tile."""
     if max(-low[:2].min(), high[:2].max()) > TILE / 2 + 1e-6:
         raise RenetError(
             f"geom {name} of the scene reaches beyond the {TILE:g} m square around its origin, the"
@@ -303,14 +351,14 @@ def _demand_inside(low: np.ndarray, high: np.ndarray, name: str) -> None:
         )
 
 
-def try_scene(file: Path) -> None:
+def try_own_scene(file: Path) -> None:
     """Raise RenetError unless a scene holds ground, without loading it in this process."""
     require_regular(file, MAX_SCENE, "scene")
     run_trial("renet.terrain.own_ground", [str(file)], f"cannot use the scene {file}")
 
 
 def _trial() -> str:
-    """What is wrong with the scene that the command line names."""
+    """Return the error in the scene that the command line names; empty if there is none."""
     try:
         start_height(compile_scene(Path(sys.argv[1])))
     except RenetError as error:
@@ -319,7 +367,11 @@ def _trial() -> str:
 
 
 def compile_scene(file: Path) -> mujoco.MjModel:
-    """A scene's model; raises RenetError where MuJoCo cannot compile it, or something moves."""
+    """Compile a scene.
+
+    Raises:
+        RenetError: MuJoCo cannot compile the file, or a body of it can move.
+    """
     try:
         model = mujoco.MjSpec.from_file(str(file)).compile()
     except ValueError as error:
@@ -334,39 +386,35 @@ def compile_scene(file: Path) -> mujoco.MjModel:
 
 
 def start_height(model: mujoco.MjModel) -> float:
-    """Height in m of the highest surface that a robot around x = y = 0 stands on."""
-    places = np.linspace(-START_AREA, START_AREA, 5)
-    return max(ground_height(model, x, y) for x in places for y in places)
+    """Return the height of the highest surface below a robot at x = y = 0, m."""
+    positions = np.linspace(-START_AREA, START_AREA, 5)
+    heights = []
+    for x in positions:
+        for y in positions:
+            heights.append(ground_height(model, x, y))
+    return max(heights)
 
 
 def ground_height(model: mujoco.MjModel, x: float = 0.0, y: float = 0.0) -> float:
-    """Height in m of the surface at a place that carries a robot and is nearest to z = 0.
+    """Return the height, m, of the surface at (x, y) that carries a robot.
+
+    Of several surfaces it is the one nearest to z = 0.
 
     Raises:
-        RenetError: nothing there carries a robot and has room above it.
+        RenetError: No surface there carries a robot and has room above it.
     """
-    data, probe = mujoco.MjData(model), model.__copy__()
+    data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    static = model.body_weldid[model.geom_bodyid] == 0
-    carries = static & (model.geom_contype & TOUCHED > 0)
-    probe.geom_group[:] = np.where(carries, CARRIED, IGNORED)
-    probe.geom_matid[:], probe.geom_rgba[:, 3] = -1, 1.0  # Rays pass through invisible geoms.
-    groups, normal = np.arange(mujoco.mjNGROUP) == CARRIED, np.zeros((3, 1))
-
-    def look(z: float, way: int) -> float:
-        """Distance to the next surface up or down from a height, whose normal is kept."""
-        eye, ray, geom = np.array([x, y, z]), np.array([0.0, 0.0, way]), np.zeros(1, np.int32)
-        return mujoco.mj_ray(probe, data, eye, ray, groups.astype(np.uint8), 1, -1, geom, normal)
-
-    # From just above everything: rays from far away miss meshes.
+    rays = _Rays(model, data, x, y)
+    # From just above everything, because rays from far away miss meshes.
     z = float(np.max(data.geom_xpos[:, 2] + model.geom_rbound, initial=0.0)) + 1.0
     heights = []
-    while (distance := look(z, -1)) >= 0.0:
+    while (distance := rays.cast(z, -1)) >= 0.0:
         z -= distance
-        if normal[2, 0] > 0.0:
-            room = look(z + ABOVE, 1)
-            # From within a geom, a ray upwards leaves through a surface that looks up.
-            if room < 0.0 or (room >= HEADROOM and normal[2, 0] < 0.0):
+        if rays.normal_z > 0.0:
+            room = rays.cast(z + ABOVE, 1)
+            # A ray from within a geom leaves it through a surface that faces up.
+            if room < 0.0 or (room >= HEADROOM and rays.normal_z < 0.0):
                 heights.append(z)
         z -= BELOW
     if not heights:
@@ -376,6 +424,43 @@ def ground_height(model: mujoco.MjModel, x: float = 0.0, y: float = 0.0) -> floa
             f" (contype 1), with {HEADROOM:g} m of room above it"
         )
     return min(heights, key=abs)
+
+
+class _Rays:
+    """Vertical rays at (x, y) that find the surfaces of static geoms that a robot can touch."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, x: float, y: float) -> None:
+        """Initialize the rays; `data` holds the poses of the model's geoms."""
+        static = model.body_weldid[model.geom_bodyid] == 0
+        carries = static & (model.geom_contype & TOUCHED > 0)
+        self._model = model.__copy__()
+        self._model.geom_group[:] = np.where(carries, CARRIED, IGNORED)
+        # Rays would pass through invisible geoms.
+        self._model.geom_matid[:] = -1
+        self._model.geom_rgba[:, 3] = 1.0
+        self._data = data
+        self._groups = (np.arange(mujoco.mjNGROUP) == CARRIED).astype(np.uint8)
+        self._position = (x, y)
+        self._normal = np.zeros((3, 1))
+
+    @property
+    def normal_z(self) -> float:
+        """Vertical part of the normal of the surface that the last ray met."""
+        return self._normal[2, 0]
+
+    def cast(self, z: float, direction: int) -> float:
+        """Return the distance from a height to the next surface, m, or -1 if there is none.
+
+        Args:
+            z: Height at which the ray begins, m.
+            direction: 1 for a ray upwards, -1 for one downwards.
+        """
+        eye = np.array([*self._position, z])
+        ray = np.array([0.0, 0.0, direction])
+        geom = np.zeros(1, np.int32)
+        return mujoco.mj_ray(
+            self._model, self._data, eye, ray, self._groups, 1, -1, geom, self._normal
+        )
 
 
 if __name__ == "__main__":

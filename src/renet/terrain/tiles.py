@@ -1,8 +1,9 @@
-"""Parkour tiles: 8 x 8 m, the same in all four directions, so that every goal yaw is as hard.
+"""Parkour tiles of 8 x 8 m, the same in all four directions, so that all goal yaws are as hard.
 
-The robot starts in the middle and must leave. Tiles meet at z = 0 and consist of few boxes.
-"Simple" tiles can be walked blind; "difficult" ones (gap, platform) need vision (RENet, Method A).
-Training takes a `Tile` as one of mjlab's sub-terrains; `renet deploy` builds it in plain MuJoCo.
+The robot starts in the middle and must leave the tile. Borders of tiles are at z = 0, and tiles
+consist of few boxes. "Simple" tiles can be walked blind; "difficult" ones (gap, platform) need
+vision (RENet, Method A). Training uses a `Tile` as one of mjlab's sub-terrains; `renet deploy`
+builds it in plain MuJoCo.
 """
 
 from dataclasses import dataclass
@@ -18,12 +19,12 @@ BARRIERS = ("wall", "ledge")
 """Kinds of tile that no robot can leave: robots must stop in front of the barrier."""
 TILE = 8.0
 """Side of a tile, m."""
-FLAT = 1e-3
+FLAT_RELIEF = 1e-3
 """Height of edges on a flat first level, m; geoms must have a size."""
 LEVELS = 10
-"""Rows of the curriculum (paper)."""
+"""Number of levels, which are the rows of the curriculum (paper)."""
 OBSTACLE_GROUP = 1
-"""MuJoCo's group of geoms that stand on the ground of a course, and can be of glass."""
+"""MuJoCo's group of the geoms on the ground of a course, which a fault can turn to glass."""
 
 Range = tuple[float, float]
 Color = tuple[float, float, float, float]
@@ -59,7 +60,12 @@ class TileBuilder:
     """
 
     def __init__(self, spec: mujoco.MjSpec, origin: Range = (TILE / 2, TILE / 2)) -> None:
-        """Begin a tile; origin: [2] m from its corner to where coordinates are zero."""
+        """Initialize an empty tile.
+
+        Args:
+            spec: Scene of the tile.
+            origin: Position of the point with coordinates zero, from the tile's corner, [2] m.
+        """
         self.spec = spec
         self.origin = origin
         self.body = spec.body("terrain").add_body(name=f"tile_{len(spec.bodies)}")
@@ -81,7 +87,8 @@ class TileBuilder:
 
     def ring(self, inner: float, outer: float, z: Range, color: Color = STONE) -> None:
         """Add a square ring around the middle, from half-width `inner` to `outer`."""
-        sides = (inner, outer), (-outer, -inner)
+        sides = ((inner, outer), (-outer, -inner))
+        # Two sides over the whole length, and two between them.
         for side in sides:
             self.box((-outer, outer), side, z, color)
         for side in sides:
@@ -107,7 +114,7 @@ class Tile:
         if self.flat_start:
             difficulty = (difficulty * (LEVELS - 1) - 1) / (LEVELS - 2)
         if difficulty < 0.0:
-            return FLAT
+            return FLAT_RELIEF
         return self.low + difficulty * (self.high - self.low)
 
     def function(
@@ -128,6 +135,7 @@ class Tile:
 
 
 FLOOR = (-0.2, 0.0)
+"""Range of a tile's floor along z, m."""
 
 
 @dataclass
@@ -182,6 +190,7 @@ class Obstacles(Tile):
         """Add the blocks; robots start on the ground, at 0 m."""
         builder.square(TILE / 2, FLOOR)
         for _ in range(self.count):
+            # Half of the sides along x and y.
             a, b = rng.uniform(0.2, 0.5, 2)
             x, y = self.place(a, b, rng)
             height = measure * rng.uniform(0.5, 1.0)
@@ -200,16 +209,19 @@ class Obstacles(Tile):
 
 
 @dataclass
-class Stairs(Tile):
+class StairsTile(Tile):
     """Pyramid stairs of rise `measure`, down from a summit or up out of a pit."""
 
     low: float = 0.05
     high: float = 0.23
     tread: float = 0.30
+    """Depth of a step, m."""
     steps: int = 9
+    """Number of steps."""
     landing: float = 1.2
     """Half-width of the square at the bottom of a pit, m; on a summit it is a tread wider."""
     descend: bool = True
+    """True for a summit, from which stairs go down."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the steps; returns the height of the summit or of the pit, m."""
@@ -217,10 +229,12 @@ class Stairs(Tile):
         top = self.steps * measure
         colors = [(step, STONE if step % 2 else STEEL) for step in range(1, self.steps + 1)]
         if self.descend:
+            # Squares on top of each other.
             builder.square(TILE / 2, FLOOR)
             for step, color in colors:
                 builder.square(edge - (step - 1) * self.tread, (0.0, step * measure), color)
             return top
+        # Rings around a pit.
         builder.square(self.landing, (-top - 0.2, -top), STEEL)
         for step, color in colors:
             inner = self.landing + (step - 1) * self.tread
@@ -234,7 +248,7 @@ LANDING = 0.6
 
 
 @dataclass
-class Gap(Tile):
+class GapTile(Tile):
     """An island surrounded by rings `measure` metres wide and 1 m deep."""
 
     low: float = 0.10
@@ -246,6 +260,7 @@ class Gap(Tile):
     landing: float = LANDING
     """Smallest width of the ground outside the last gap, m."""
     depth: float = 1.0
+    """Depth of the gaps, m."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the island and the ground outside each gap; the start is at height 0."""
@@ -260,7 +275,7 @@ class Gap(Tile):
 
 
 @dataclass
-class Platform(Tile):
+class PlatformTile(Tile):
     """Raised rings of height `measure` to climb onto and down from."""
 
     low: float = 0.05
@@ -291,6 +306,7 @@ class Wall(Barrier):
     low: float = 0.7
     high: float = 1.2
     thickness: float = 0.4
+    """Thickness of the wall, m."""
 
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add floor and wall; the start is at height 0."""
@@ -323,10 +339,10 @@ def tiles() -> dict[str, Tile]:
     return {
         "rough": Rough(),
         "obstacles": Obstacles(),
-        "stairs_up": Stairs(descend=False),
-        "stairs_down": Stairs(descend=True),
-        "gap": Gap(),
-        "platform": Platform(),
+        "stairs_up": StairsTile(descend=False),
+        "stairs_down": StairsTile(descend=True),
+        "gap": GapTile(),
+        "platform": PlatformTile(),
     }
 
 
@@ -338,10 +354,10 @@ def dense_tiles() -> dict[str, Tile]:
     return {
         "rough": Rough(),
         "obstacles": Obstacles(count=40, flat_start=True),
-        "stairs_up": Stairs(descend=False, flat_start=True),
-        "stairs_down": Stairs(descend=True, flat_start=True),
-        "gap": Gap(island=0.9, ground=0.9, flat_start=True),
-        "platform": Platform(rings=((0.9, 1.7), (2.4, 3.2)), flat_start=True),
+        "stairs_up": StairsTile(descend=False, flat_start=True),
+        "stairs_down": StairsTile(descend=True, flat_start=True),
+        "gap": GapTile(island=0.9, ground=0.9, flat_start=True),
+        "platform": PlatformTile(rings=((0.9, 1.7), (2.4, 3.2)), flat_start=True),
     }
 
 
@@ -358,8 +374,9 @@ def find_tile(kind: str, level: int) -> tuple[Tile, float]:
     Raises:
         RenetError: There is no such kind or level.
     """
-    kinds = {"stairs": Stairs(descend=True), **tiles()}
-    if kind not in kinds:  # All callers know flat ground, which is no tile.
+    kinds = {"stairs": StairsTile(descend=True), **tiles()}
+    # Flat ground is no tile, but all callers know it.
+    if kind not in kinds:
         raise unknown_name("terrain", kind, ("flat", *kinds))
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")

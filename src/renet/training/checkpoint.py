@@ -32,7 +32,7 @@ FORMAT = 2
 TENSORS = ("model", "average", "optimizer", "environment")
 FILES = ("state.json", *(f"{name}.safetensors" for name in TENSORS))
 """Files of a checkpoint's folder."""
-STATE = {"iteration": int, "steps": int, "seconds": int | float, "task": str}
+STATE_TYPES = {"iteration": int, "steps": int, "seconds": int | float, "task": str}
 """Names and types in every `state.json`, beside format and settings."""
 MAX_TENSORS = 100 * MEGABYTE
 """Largest size of a file of tensors in bytes; the default networks need at most 16 MB."""
@@ -208,7 +208,7 @@ def load_state(path: Path) -> dict[str, Any]:
     for name in ("agent", "env"):
         if not isinstance(state.get(name), dict):
             raise RenetError(f"{path} is not a checkpoint of RENet: it states no settings")
-    for name, kind in STATE.items():
+    for name, kind in STATE_TYPES.items():
         if not isinstance(state.get(name), kind):
             raise RenetError(f"{path} is not a checkpoint of RENet: it states no {name}")
     return state

@@ -15,7 +15,7 @@ from renet.tasks.entity import ACTION_CLIP
 from renet.tasks.schedule import Schedule, value_at
 from renet.training.precision import Precision
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 MOST_STEPS = 1000
 """Largest number of control steps of each robot in an iteration (20 s), unless
 `num_steps_per_env` sets it."""
@@ -220,7 +220,7 @@ def steps_per_env(fixed: int | None, batch_size: Schedule, num_envs: int, steps:
     return min(STEPS_PER_TICK * max(5, ticks), MOST_STEPS)
 
 
-def from_dict(cls: type[T], values: dict[str, Any]) -> T:
+def from_dict(cls: type[_T], values: dict[str, Any]) -> _T:
     """Build a part of the agent's configuration from a JSON object.
 
     Raises:

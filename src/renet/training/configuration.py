@@ -1,7 +1,7 @@
-"""`renet train --config FILE`: what a run wrote in its config.json, or any part of it, given back.
+"""Settings of `renet train --config FILE`: a run's config.json, or any part of one.
 
-The file is the user's own: unlike a checkpoint it may set whatever the command line may. What the
-task does not know is an error, so that a misspelt setting is never passed over.
+The file is the user's own, so that, unlike a checkpoint, it may set all that the command line may.
+A setting that the task lacks is an error, so that none is ignored because of a typing error.
 """
 
 from collections.abc import Mapping
@@ -17,17 +17,26 @@ from renet.terrain.own_ground import KIND
 from renet.training.config import to_tuples
 from renet.training.provenance import PLAIN, to_json
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 PARTS = ("agent", "env")
 """The task's configurations in a file."""
 IGNORED = ("task", "code", *PARTS)
-"""Keys of a file that are no option of the command line's."""
+"""Keys of a file that are no options of the command line."""
 UNSET = ("task", "resume", "config")
 """Options that a file cannot set."""
 
 
 def task_of(settings: Mapping[str, Any], path: Path, asked: str) -> str:
-    """The task of a run with these settings, by default the file's; raises RenetError for two."""
+    """Return the id of the task to train.
+
+    Args:
+        settings: The file's settings.
+        path: Path of the file, for messages.
+        asked: Task on the command line, or an empty text for the file's.
+
+    Raises:
+        RenetError: File and command line name different tasks.
+    """
     stored = settings.get("task", "")
     if not isinstance(stored, str):
         raise RenetError(f"{path}: task must be a text, got {stored!r}")
@@ -40,18 +49,25 @@ def task_of(settings: Mapping[str, Any], path: Path, asked: str) -> str:
 
 
 def options_of(settings: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """What a file sets of the options that are no settings of a task, such as num_envs.
+    """Return the options in a file that do not belong to a task, such as num_envs.
 
-    Raises RenetError for names and values that are no option's.
+    Args:
+        settings: The file's settings.
+        path: Path of the file, for messages.
+
+    Raises:
+        RenetError: A name is no option, or a value is of another type.
     """
     hints = get_type_hints(TrainOptions)
     known = [field.name for field in fields(TrainOptions) if field.name not in UNSET]
+    # Options that the file states win over those of the ground among its tiles.
     options = own_ground_of(settings)
     for name, value in settings.items():
         if name in IGNORED:
             continue
         if name not in known:
             raise unknown_name("setting", str(name), [*IGNORED, *known])
+        # JSON and YAML have no paths.
         if hints[name] == Path | None and isinstance(value, str):
             value = Path(value)
         options[name] = _checked(value, hints[name], f"{path}: {name}")
@@ -59,7 +75,12 @@ def options_of(settings: Mapping[str, Any], path: Path) -> dict[str, Any]:
 
 
 def own_ground_of(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The options for the own ground that a run wrote among its tiles; none where it had none."""
+    """Return the options of the user's own ground among a configuration's tiles, if it has one.
+
+    Raises:
+        RenetError: Values of the ground are missing or of another type.
+    """
+    # Only options can build the tile again: the configuration has its source, not its heights.
     tiles: Any = settings
     for name in ("env", "scene", "terrain", "terrain_generator", "sub_terrains"):
         tiles = tiles.get(name) if isinstance(tiles, Mapping) else None
@@ -80,27 +101,28 @@ def own_ground_of(settings: Mapping[str, Any]) -> dict[str, Any]:
         ) from error
 
 
-def configured(value: T, stored: Any, name: str) -> T:
-    """A configuration with what a file says of it.
+def configured(value: _T, stored: Any, name: str) -> _T:
+    """Copy a configuration, with the settings of a file.
 
     Args:
-        value: the configuration. stored: the file's values, by name, of any of its settings.
-        name: of the value, with dots between levels, such as `env.rewards`.
+        value: The configuration, or a setting of it at any level.
+        stored: The file's value of it; an object need not have all settings.
+        name: Name of the setting, with dots between levels, such as `env.rewards`.
 
     Raises:
-        RenetError: a setting that there is not, or a value that it cannot have.
+        RenetError: The configuration has no such setting, or the setting no such value.
     """
-    if stored == to_json(value):  # As a run wrote it, functions too.
+    # Also functions, which a file cannot change, stay as a run wrote them.
+    if stored == to_json(value):
         return value
     result: Any
     if is_dataclass(value) and not isinstance(value, type):
         result = _configured_dataclass(value, stored, name)
     elif isinstance(value, dict):
         _demand_names(stored, list(value), name)
-        changes = {
-            key: configured(value[key], item, f"{name}.{key}") for key, item in stored.items()
-        }
-        result = {**value, **changes}
+        result = dict(value)
+        for key, item in stored.items():
+            result[key] = configured(value[key], item, f"{name}.{key}")
     elif isinstance(value, list | tuple) and any(map(is_dataclass, value)):
         result = _configured_items(value, stored, name)
     else:
@@ -109,12 +131,13 @@ def configured(value: T, stored: Any, name: str) -> T:
 
 
 def _configured_dataclass(value: Any, stored: Any, name: str) -> Any:
-    """A dataclass with a file's values, each of the type that its field has."""
+    """Copy a dataclass, with a file's values, which must be of the types of their fields."""
     settable = [field.name for field in fields(value) if field.init]
     _demand_names(stored, settable, name)
     try:
         hints = get_type_hints(type(value))
-    except NameError:  # Some of mjlab's types are imported for type checkers alone.
+    except NameError:
+        # Some of mjlab's types are imported for type checkers alone.
         hints = {}
     changes = {}
     for key, item in stored.items():
@@ -127,15 +150,17 @@ def _configured_dataclass(value: Any, stored: Any, name: str) -> Any:
 
 
 def _configured_items(value: Any, stored: Any, name: str) -> Any:
-    """A sequence of dataclasses, such as a scene's sensors, all of which a file must list."""
+    """Copy a sequence of dataclasses, such as a scene's sensors; a file must list all of them."""
     if not isinstance(stored, list) or len(stored) != len(value):
         raise RenetError(f"{name} must list {len(value)} items, as `renet recipe` prints them")
-    items = zip(value, stored, strict=True)
-    return type(value)(configured(*pair, f"{name}.{place}") for place, pair in enumerate(items))
+    items = []
+    for position, (item, stored_item) in enumerate(zip(value, stored, strict=True)):
+        items.append(configured(item, stored_item, f"{name}.{position}"))
+    return type(value)(items)
 
 
 def _leaf(value: Any, stored: Any, name: str) -> Any:
-    """A number, a text or a sequence of them in place of another one."""
+    """Return the file's value of a number, a text or a sequence of them."""
     if isinstance(value, Path):
         return Path(_checked(stored, str, name))
     if value is None or isinstance(value, PLAIN):
@@ -149,7 +174,7 @@ def _leaf(value: Any, stored: Any, name: str) -> Any:
 
 
 def _demand_names(stored: Any, known: list[str], name: str) -> None:
-    """Raise RenetError unless a file's value maps names that there are."""
+    """Raise RenetError unless a file's value is an object whose names are all known."""
     if not isinstance(stored, dict):
         raise RenetError(f"{name} must map names to values, got {stored!r}")
     for key in stored:
@@ -158,7 +183,7 @@ def _demand_names(stored: Any, known: list[str], name: str) -> None:
 
 
 def _checked(value: Any, hint: Any, name: str) -> Any:
-    """A value if it is of a type; raises RenetError."""
+    """Return a value that is of the type `hint`; raises RenetError for any other."""
     try:
         return check_type(value, hint)
     except TypeCheckError as error:

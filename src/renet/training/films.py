@@ -1,4 +1,4 @@
-"""Films of a training run, now and then, by `renet play` in a process beside it."""
+"""Films of a training run at regular intervals, by `renet play` in a process beside it."""
 
 import math
 import subprocess
@@ -12,44 +12,46 @@ from renet.training.checkpoint import checkpoints
 from renet.training.runner import CHECKPOINTS
 
 FILMS = "films"
-"""Folder of the films, in a run's own."""
+"""Name of the folder of films in a run's folder."""
 GAP_LEVEL = 3
 """Level of the tile that is filmed: a gap of 23 cm."""
-PATIENCE = 600.0
-"""Seconds that the end of a run waits for its last film, at most."""
+LONGEST_WAIT = 600.0
+"""Longest time that the end of a run waits for its last film, s."""
 
 
 class Films:
-    """Films the newest checkpoint every so many iterations, one film at a time.
+    """Films of the newest checkpoint every so many iterations, one at a time.
 
-    The camera's estimator and the blind one walk side by side. A film that fails costs the run
-    nothing: it is told in a line.
+    A film shows two robots side by side: one steered by VP, one by OP. A film that fails does not
+    disturb the training: a line says why it failed.
     """
 
     def __init__(self, run: Path, every: int, tiles: bool, say: Callable[[str], None]) -> None:
-        """Begin to film.
+        """Initialize films of a run.
 
         Args:
-            run: folder of the run. every: iterations from one film to the next.
-            tiles: whether the task has tiles; if not, robots are filmed on flat ground.
-            say: tells the user a line.
+            run: Folder of the run.
+            every: Iterations from one film to the next.
+            tiles: True if the task has tiles. Without them, robots are filmed on flat ground.
+            say: Function that prints a line for the user.
         """
-        self._run, self._every, self._say = run, every, say
+        self._run = run
+        self._every = every
+        self._say = say
         self._ground = ["--terrain", "gap", "--level", str(GAP_LEVEL)]
         if not tiles:
             self._ground = ["--terrain", "flat"]
         self._process: subprocess.Popen[bytes] | None = None
         self._path = Path()
-        self._begun = self._rounds()
-        """Multiples of `every` that the newest film's checkpoint, or what a run goes on from, has
-        behind it."""
+        # The checkpoint from which a run continues is not filmed.
+        self._last_round = self._newest_round()
 
     def iterate(self) -> None:
-        """Note that an iteration is done; starts a film if it is time for one."""
-        self._look()
-        if self._process is not None or self._rounds() <= self._begun:
+        """Start a film if it is time for one; called after each iteration."""
+        self._report_end()
+        if self._process is not None or self._newest_round() <= self._last_round:
             return
-        self._begun = self._rounds()
+        self._last_round = self._newest_round()
         checkpoint = self._checkpoints()[-1]
         self._path = self._run / FILMS / f"{checkpoint.name}.mp4"
         self._process = subprocess.Popen(
@@ -57,45 +59,49 @@ class Films:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-            # Ctrl-C is for the training, which ends the film.
+            # Ctrl-C reaches the training alone, which then ends the film.
             start_new_session=True,
         )
 
     def command(self, checkpoint: Path, film: Path) -> Sequence[str]:
-        """The command that films a checkpoint."""
+        """Return the command line that films a checkpoint."""
         play = ["nice", sys.executable, "-m", "renet", "play", str(checkpoint), "--out", str(film)]
-        seen = ["--modes", "camera", "blind", "--viewer", "none", "--fault"]
-        return [*play, *self._ground, *seen]
+        # The last option without values: no fault.
+        robots = ["--modes", "camera", "blind", "--viewer", "none", "--fault"]
+        return [*play, *self._ground, *robots]
 
-    def close(self, left: float = math.inf) -> None:
-        """Wait for the film that is being made, but no longer than `left` seconds; then end it."""
+    def close(self, limit: float = math.inf) -> None:
+        """Wait for an unfinished film for up to `limit` seconds, then end it."""
         if self._process is None:
             return
         try:
-            self._process.wait(min(max(left, 0.0), PATIENCE))
+            self._process.wait(min(max(limit, 0.0), LONGEST_WAIT))
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.communicate()
             self._process = None
             return
-        self._look()
+        self._report_end()
 
     def _checkpoints(self) -> list[Path]:
-        """Those of the run, oldest first."""
+        """List the checkpoints of the run, oldest first."""
         return checkpoints(self._run / CHECKPOINTS)
 
-    def _rounds(self) -> int:
-        """Multiples of `every` that the newest checkpoint has behind it."""
+    def _newest_round(self) -> int:
+        """Return how many times `every` iterations the newest checkpoint has had."""
         newest = self._checkpoints()[-1:]
-        return int(newest[0].name.removeprefix("it_")) // self._every if newest else 0
+        if not newest:
+            return 0
+        return int(newest[0].name.removeprefix("it_")) // self._every
 
-    def _look(self) -> None:
-        """Say what became of a film that has ended."""
+    def _report_end(self) -> None:
+        """Print the path of a film that has ended, or why it failed."""
         if self._process is None or self._process.poll() is None:
             return
         _, errors = self._process.communicate()
-        failed, self._process = self._process.returncode != 0, None
-        if failed:
+        code = self._process.returncode
+        self._process = None
+        if code:
             lines = errors.decode(errors="replace").strip().splitlines() or ["no reason given"]
             self._say(f"No film {self._path.name}: {lines[-1]}")
         else:
@@ -104,18 +110,21 @@ class Films:
 
 @contextmanager
 def filming(
-    films: Films | None, deadline: float, stopped: Sequence[int]
+    films: Films | None, deadline: float, signals: Sequence[int]
 ) -> Iterator[Callable[[], None]]:
-    """What to call after each iteration; None makes no films.
+    """Context with a function to call after each iteration; its end waits for the last film.
 
-    The end waits for the last film, unless a signal has `stopped` the run, or until the `deadline`,
-    a time of the monotonic clock.
+    Args:
+        films: The films, or None for none.
+        deadline: Time of the monotonic clock until which the end waits, s.
+        signals: Signals that the run has received; after one the end does not wait.
     """
     if films is None:
         yield lambda: None
         return
     try:
         yield films.iterate
-        films.iterate()  # The last checkpoint.
+        # The last checkpoint is written after the last iteration.
+        films.iterate()
     finally:
-        films.close(0.0 if stopped else deadline - time.monotonic())
+        films.close(0.0 if signals else deadline - time.monotonic())

@@ -15,7 +15,7 @@ from typing import Literal, TypeVar
 import torch
 from torch import Tensor, nn
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 Precision = Literal["auto", "float32", "bfloat16"]
 
 # Parameters of glibc's `mallopt`, from its malloc.h.
@@ -118,7 +118,7 @@ def halve_threads(device: str | torch.device) -> Iterator[None]:
         _half = 0
 
 
-def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]:
+def side_by_side(first: Callable[[], _T], second: Callable[[], _T]) -> tuple[_T, _T]:
     """Run two functions, inside `halve_threads` at the same time if half of the threads are idle.
 
     Half as many threads per layer wait less for each other. A function may call `side_by_side`
@@ -137,8 +137,9 @@ def side_by_side(first: Callable[[], T], second: Callable[[], T]) -> tuple[T, T]
     if not half or not _idle.acquire(blocking=False):
         return first(), second()
 
-    def run_second() -> T:
-        torch.set_num_threads(half)  # OpenMP's number belongs to the calling thread.
+    def run_second() -> _T:
+        # OpenMP has a number of threads for each calling thread.
+        torch.set_num_threads(half)
         try:
             return second()
         finally:
@@ -166,7 +167,8 @@ def keep_freed_memory() -> bool:
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
-    except (AttributeError, OSError, TypeError):  # macOS, musl, Windows.
+    except (AttributeError, OSError, TypeError):
+        # macOS, musl, Windows.
         return False
     trim = mallopt(M_TRIM_THRESHOLD, LARGEST_THRESHOLD)
     mmap = mallopt(M_MMAP_MAX, 0)

@@ -20,9 +20,9 @@ LINE_EVERY = 60.0
 RECENT = 20
 """Number of recent iterations from which the remaining time is estimated; batches grow, so that
 older ones were faster."""
-SPEED = "Perf/total_fps"
+SPEED_CURVE = "Perf/total_fps"
 """Curve of the environment steps per second."""
-REWARD = "Train/mean_reward"
+REWARD_CURVE = "Train/mean_reward"
 """Curve of the mean reward per episode."""
 
 
@@ -100,8 +100,8 @@ class Report:
         else:
             facts.append(f"{algorithm.iteration}/{self._last}")
         facts.append(f"{algorithm.steps / 1e6:.2f} M steps")
-        if SPEED in self._latest:
-            facts.append(f"{self._latest[SPEED]:,.0f} steps/s")
+        if SPEED_CURVE in self._latest:
+            facts.append(f"{self._latest[SPEED_CURVE]:,.0f} steps/s")
         remaining = self._remaining_time()
         # A timedelta holds at most nine digits of days.
         duration = timedelta(seconds=math.ceil(remaining)) if remaining < 1e9 else "-:--:--"
@@ -116,8 +116,8 @@ class Report:
                 levels.append(f"{tag.removeprefix(LEVEL)} {level:.1f}")
         if levels:
             return " ".join(levels)
-        if REWARD in self._latest:
-            return f"reward {self._latest[REWARD]:.2f}"
+        if REWARD_CURVE in self._latest:
+            return f"reward {self._latest[REWARD_CURVE]:.2f}"
         return ""
 
     def _remaining_time(self) -> float:

@@ -78,7 +78,7 @@ def _by_name(value: Any) -> Any:
     return {item.get("name", str(position)): item for position, item in enumerate(value)}
 
 
-ALLOWED = (
+RESTORABLE = (
     "agent.adaptation",
     "agent.algorithm",
     "agent.average_over",
@@ -123,11 +123,11 @@ ALLOWED = (
     "env.sim.njmax",
     "env.terminations",
 )
-"""Settings, and groups of them, that a run restores from the checkpoint that it resumes: those that
-shape the policy. All others, such as folders to write to, come from the command line alone, because
-a checkpoint may be a stranger's."""
+"""Settings, and groups of them, that a resumed run restores from its checkpoint: those that shape
+the policy. All others, such as folders to write to, come from the command line alone, because the
+checkpoint may come from a stranger."""
 CONFIGURATIONS = {"agent": RenetRunnerCfg, "env": RenetEnvCfg}
-"""Classes of both configurations, whose fields ALLOWED lists."""
+"""Classes of both configurations, whose fields RESTORABLE names."""
 BOUNDS = {
     "env.actions.*.target_rate": (0.0, math.inf),
     "env.decimation": (1, 100),
@@ -156,7 +156,7 @@ def restore(value: T, stored: Any, name: str) -> T:
     """Copy a configuration, with the settings of a stored one.
 
     Settings that only one of the two has stay as they are, and so do functions and settings that
-    are not ALLOWED.
+    are not RESTORABLE.
 
     Args:
         value: The configuration.
@@ -168,6 +168,7 @@ def restore(value: T, stored: Any, name: str) -> T:
     """
     if isinstance(value, Enum):
         return value
+    # Levels that both have are restored setting by setting; what does not match stays as it is.
     result: Any = value
     if isinstance(stored, dict) and isinstance(value, dict):
         result = dict(value)
@@ -228,7 +229,7 @@ def is_allowed(stored: Any, name: str) -> bool:
     is_addition = False
     if part in CONFIGURATIONS:
         is_addition = setting not in {field.name for field in fields(CONFIGURATIONS[part])}
-    is_listed = any(name == known or name.startswith(f"{known}.") for known in ALLOWED)
+    is_listed = any(name == known or name.startswith(f"{known}.") for known in RESTORABLE)
     if not is_addition and not is_listed:
         return False
     low, high = next(bounds for pattern, bounds in BOUNDS.items() if fnmatchcase(name, pattern))

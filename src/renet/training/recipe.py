@@ -1,7 +1,8 @@
-"""The recipe: how ours departs from the paper's task and the paper's agent, and why.
+"""The recipe: departures from the paper's task and agent, and the reason for each.
 
-Nobody has run the paper's 1.5 billion steps. What both share is in docs/how_it_works.md. What
-changes during training does so over five phases, `PHASES`; docs/train.md has them in one table.
+The paper trains for 1.5 billion steps; this recipe is for 230 million. Settings that change during
+training do so over five phases, `PHASES`, which docs/train.md has in one table.
+docs/how_it_works.md explains what recipe and paper share.
 """
 
 from typing import Any, cast
@@ -23,30 +24,34 @@ from renet.training.config import NP3OCfg, RenetRunnerCfg, SupervisionCfg, Withh
 PHASES = {"walk": 12, "climb": 30, "cross": 150, "practise": 205, "settle": 230}
 """Millions of environment steps at which each phase of a run ends.
 
-Robots learn a gait; then penalties that teach it, but cost more than climbing earns, fade; most
-steps go to crossing; then robots practise what they meet too seldom, standing and narrow gaps that
-they have only glimpsed; at last all rates fall, so that what was learned settles.
+In the first phase robots learn a gait. In the second, penalties fade that teach the gait but cost
+more than climbing earns. The third, which is the longest, is for crossing obstacles. In the fourth
+robots practise what they have met too seldom: standing, and narrow gaps that they saw only briefly.
+In the last one learning rates fall, so that the weights settle.
 """
 
 
 def over_phases(*values: float) -> Schedule:
-    """A schedule that reaches a value at the end of each phase, linear in between.
+    """Return a schedule that reaches a value at the end of each phase, linear in between.
 
-    Before the end of the first phase it has the first value.
+    Until the end of the first phase it has the first value.
     """
-    ends = zip(values, PHASES.values(), strict=True)
-    return ",".join(f"{value:g}@{end}M" for value, end in ends)
+    points = []
+    for value, end in zip(values, PHASES.values(), strict=True):
+        points.append(f"{value:g}@{end}M")
+    return ",".join(points)
 
 
 def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
-    """Turn a task of `parkour_env_cfg.py`, and the paper's agent, into ours, in place."""
+    """Apply the recipe in place to a task of `parkour_env_cfg.py` and to the paper's agent."""
     set_learning(agent)
     set_command(env)
     set_rewards(env)
     set_differences(env)
-    # Before robots climb, a third of the steps would go to standing while levels could rise. Goals
-    # to stand are short at first: to stop is learned at their beginning, and a robot that stands
-    # meets no edges. But OP stands on stairs only for as long as these goals last in practice.
+    # Goals to stand begin after climbing, because a third of all steps would go to standing while
+    # levels could rise. They are short at first: stopping is learned at their beginning, and a
+    # robot that stands meets no edges. They last longer in the end, because OP stands still on
+    # stairs only for as long as it has practised.
     env.curriculum["command_stage"].params |= {
         "after": 1e6 * PHASES["climb"],
         "standing_time": over_phases(0.4, 0.4, 0.4, 1.0, 1.0),
@@ -56,58 +61,59 @@ def recipe(env: RenetEnvCfg, agent: RenetRunnerCfg) -> None:
 
 
 def set_learning(agent: RenetRunnerCfg) -> None:
-    """Networks, policy optimisation and supervision for millions of steps, not billions."""
-    # A policy that already stands needs no noise of radians; what remains shrinks as it learns.
-    # It knows which errors are usual: notices glare and occlusion two to eight times as often. It
-    # also learns what sparse grass looks like (`renet calibrate`).
+    """Set networks, policy optimisation and supervision for millions of steps, not billions."""
+    # The policy already stands at the beginning, so that it needs less noise than the paper's. The
+    # variance detector knows which errors of the camera are usual: it notices glare and occlusion
+    # two to eight times as often. It also learns how sparse grass looks (see `Supervision`).
     agent.model = ModelCfg(
         initial_std=0.5, detector="variance", predict_map_error=True, predict_far_map=True
     )
     agent.algorithm = NP3OCfg(
-        # A third of 0.008 crossed fewer gaps.
+        # With a third of 0.008 robots crossed fewer gaps.
         entropy=over_phases(0.008, 0.008, 0.008, 0.004, 0.001),
         # Late, nearly all of the gradient is noise: smaller steps average over more of it.
         desired_kl=over_phases(0.01, 0.01, 0.01, 0.01, 0.004),
-        # With 0.95 most of the actor's gradient is noise; critics that see the truth explain the
-        # returns well enough to take it out.
+        # With 0.95 most of the actor's gradient is noise. The critics see the true state and
+        # explain the returns well enough for a smaller lambda, which removes that noise.
         lam=0.8,
-        # Gradients are half of an iteration's time; a fourth and fifth pass bring less than steps.
+        # Gradients take half of an iteration. A fourth and fifth pass bring less than the
+        # environment steps that fit in their time.
         num_learning_epochs=3,
-        # A policy that walks hardly violates anything. With budgets of 0 the errors of three
-        # critics keep all penalties on: noise that only very large batches average out.
-        # Tighter ones press where robots leap and climb.
+        # A policy that walks violates hardly any constraint. With budgets of 0 the errors of three
+        # critics keep all penalties active, as noise that only very large batches average out.
+        # Tighter budgets hinder robots that leap and climb.
         cost_budget=(0.06, over_phases(0.5, 0.4, 0.24, 0.24, 0.24), 1.5),
     )
     agent.supervision = SupervisionCfg(
-        # Four gradient steps an iteration left VP's map without gaps.
+        # With four gradient steps per iteration VP's map showed no gaps.
         num_mini_batches=12,
         autoencoder_images=48,
-        # The actor reads latents: late in training they must hold still.
+        # The actor reads the latents, which must change little late in training.
         learning_rate=over_phases(1e-3, 1e-3, 3e-4, 3e-4, 1e-4),
     )
-    # In turns of 20 iterations an estimator forgets what the other one practises meanwhile.
+    # In turns of 20 iterations an estimator forgets how to walk while the other one learns.
     agent.adaptation.period = 4
-    # From the first step on, which costs no level. Later, robots practise narrow gaps that they
-    # have only glimpsed: most gaps of their own level cannot be crossed unseen.
+    # Images are withheld from the first step on, which costs no level. Later, robots practise
+    # narrow gaps that they saw only briefly: most gaps of their own level cannot be crossed unseen.
     agent.withholding = WithholdingCfg(
         share=0.5,
         easier_shortest=over_phases(0.3, 0.3, 0.3, 2.0, 2.0),
         easier_sight=over_phases(4.0, 4.0, 4.0, 0.6, 0.6),
     )
-    # Small batches learn to walk sooner; large ones carry less noise once little is left to learn.
+    # With small batches robots walk sooner; large ones have less noise once progress is slow.
     agent.batch_size = over_phases(12_800, 51_200, 51_200, 51_200, 51_200)
     agent.average_over = 100
 
 
 def set_command(env: RenetEnvCfg) -> None:
-    """Velocities in all directions, beside goals."""
+    """Add velocities in all directions to the paper's goals."""
     goals = env.commands[COMMAND]
     assert isinstance(goals, GoalCommandCfg)
     shares = {"plane": 0.7, "rough": 0.7, "obstacles": 0.5}
     drive = DriveCommandCfg(**vars(goals), free_shares=shares)
     drive.told = "twist"
-    # A robot that is pushed to the velocity it is told need only keep it up: none happens to walk
-    # backward or sideways by itself.
+    # No robot begins to walk backward or sideways by chance. One that is given the velocity it is
+    # told need only keep it.
     drive.kick_share = 0.5
     drive.kick_interval = 1.0
     # Robots hardly practise what they are told at the edge of a range: the draw goes beyond it.
@@ -123,7 +129,7 @@ def set_command(env: RenetEnvCfg) -> None:
 
 
 def set_rewards(env: RenetEnvCfg) -> None:
-    """A weaker penalty on collisions, and four rewards of our own."""
+    """Weaken the penalty on collisions, and add four rewards."""
     height = {"standing_height": env.robot.map_height - env.robot.foot_radius}
     env.rewards |= {
         # `tasks/mdp/rewards.py` says why.
@@ -132,9 +138,9 @@ def set_rewards(env: RenetEnvCfg) -> None:
         "foot_clearance": RewardTermCfg(func=mdp.foot_clearance, weight=0.0, params=height),
         "upright_tracking": RewardTermCfg(func=mdp.upright_tracking, weight=0.75, params=height),
     }
-    # At the paper's -10 a touch outweighs all else and the clipped sum says nothing where a robot
-    # tries to climb. Both teach a gait at first, and cost more than walking earns at the highest
-    # steps.
+    # At the paper's -10 a single contact outweighs all other rewards, and their sum, which is
+    # clipped at zero, does not tell good attempts to climb from bad ones. Both penalties teach a
+    # gait at first; at the highest steps they cost more than walking earns.
     follow(env, "collision", over_phases(-1.0, -0.3, -0.3, -0.3, -0.3))
     follow(env, "foot_clearance", over_phases(-20.0, -3.0, -3.0, -3.0, -3.0))
 
@@ -147,8 +153,8 @@ def follow(env: RenetEnvCfg, reward: str, schedule: Schedule) -> None:
 
 
 def set_differences(env: RenetEnvCfg) -> None:
-    """What a real robot adds to the simulated one, and a camera as good as a real one."""
-    # Late targets are missing: they cost most levels and a quarter of the speed
+    """Randomize what differs between real robots, and set the noise of a real camera."""
+    # Delays of joint targets are not among them: they cost most levels and a quarter of the speed
     # (`benchmarks/NOTES.md`).
     randomize(
         env,
@@ -164,7 +170,7 @@ def set_differences(env: RenetEnvCfg) -> None:
 
 
 def set_tiles(env: RenetEnvCfg) -> None:
-    """Tiles with more edges, and more robots where levels rise slowest."""
+    """Set tiles with more edges, and put more robots where levels rise slowest."""
     terrain = env.scene.terrain
     assert terrain is not None
     assert terrain.terrain_generator is not None
@@ -174,9 +180,10 @@ def set_tiles(env: RenetEnvCfg) -> None:
     for kind, share in shares.items():
         tiles[kind].proportion = share
     terrain.terrain_generator.sub_terrains = cast(Any, tiles)
-    terrain.max_init_terrain_level = 0  # It is flat.
-    # Once the levels have risen, nobody meets a narrow gap, and its crossing is forgotten. On other
-    # tiles it would give a quarter of the practice away.
+    # Level 0 is flat.
+    terrain.max_init_terrain_level = 0
+    # Once levels have risen, robots meet no narrow gaps any more and forget how to cross them. On
+    # tiles other than gaps, easier levels would take a quarter of the practice and bring nothing.
     env.curriculum["level"].params |= {
         "easier_kinds": ("gap",),
         "easier_share": over_phases(0.0, 0.0, 0.25, 0.6, 0.6),

@@ -139,9 +139,10 @@ class RenetRunner(OnPolicyRunner):
             self.env.num_envs,
             self.alg.steps,
         )
-        self.cfg["num_steps_per_env"] = steps  # rsl_rl's logger reads it.
+        # rsl_rl's logger reads the number there.
+        self.cfg["num_steps_per_env"] = steps
         for _ in range(steps):
-            # A rollout that is not complete is dropped; the checkpoint is that of the last update.
+            # An incomplete rollout is dropped: the checkpoint holds the state of the last update.
             if self.stop.is_set() and not self.is_distributed:
                 return obs
             obs, rewards, dones, extras = self.env.step(self.alg.act(obs))

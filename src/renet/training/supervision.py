@@ -125,7 +125,8 @@ class Supervision:
         indices = order.chunk(self.cfg.num_mini_batches)
 
         # Count what each learner finds in each mini-batch: [mini-batches, learners].
-        per_environment = torch.stack((op, vp, images)).double()  # In the order of LEARNERS.
+        # In the order of LEARNERS.
+        per_environment = torch.stack((op, vp, images)).double()
         local = torch.stack([per_environment[:, index].sum(dim=-1) for index in indices])
         mean = distributed.mean(local)
         sizes = torch.stack((local, mean), dim=1).tolist()

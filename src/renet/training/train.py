@@ -1,4 +1,4 @@
-"""`renet train`: one process, or one per GPU; and `renet recipe`, which says how."""
+"""The commands `renet train` and `renet recipe`, which prints all settings of a training."""
 
 import argparse
 import json
@@ -40,23 +40,24 @@ from renet.training.runner import RenetRunner
 from renet.training.runs import new_run, resolve_resume, resumed_run, signals
 from renet.version import code_version
 
-CONFIG = "config.json"
-"""File of a run's folder that says how it was trained, of the newest start."""
+CONFIG_FILE = "config.json"
+"""File in a run's folder with all settings of its newest start."""
 
 
 @dataclass(kw_only=True)
 class TrainCfg(TrainOptions):
     """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
 
-    A task is registered with both its configurations, `--agent` and `--env`; options are those of
-    mjlab's `train`, which trains the same. `training/recipe.py` says how ours depart from the
-    paper's. Several GPUs: torchrun or Slurm start a process for each (docs/train.md).
+    A task is registered with two configurations, whose settings are options `--agent...` and
+    `--env...`. mjlab's own `train` takes the same options and trains the same. The recipe's
+    departures from the paper are in `training/recipe.py`. On several GPUs, torchrun or Slurm starts
+    a process for each (docs/train.md).
     """
 
     agent: RenetRunnerCfg
     """Networks and learning."""
     env: RenetEnvCfg
-    """The task: scene, rewards, curriculum and so on, in mjlab's words."""
+    """The task: mjlab's configuration of scene, rewards, curriculum and so on."""
 
     tyro_flags: ClassVar = mjlab.TYRO_FLAGS
 
@@ -69,7 +70,11 @@ class TrainCfg(TrainOptions):
 
     @classmethod
     def from_task(cls, task: str, **options: Any) -> Self:
-        """The settings that a task was registered with; raises RenetError for an unknown one."""
+        """Return the settings that a task was registered with.
+
+        Raises:
+            RenetError: The task is unknown, or its agent is not renet's.
+        """
         env = env_cfg(task)
         agent = load_rl_cfg(task)
         if not isinstance(agent, RenetRunnerCfg):
@@ -78,9 +83,13 @@ class TrainCfg(TrainOptions):
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> Self:
-        """What a command line starts from: its task, a file, or the run it resumes.
+        """Return the settings that a command line changes: a task's, a file's, or a resumed run's.
 
-        Raises RenetError.
+        Args:
+            arguments: The command line, with the task first, if it is there.
+
+        Raises:
+            RenetError: The task is unknown, or file or run cannot be read.
         """
         parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
         parser.add_argument("--resume", nargs="?", const="")
@@ -93,13 +102,21 @@ class TrainCfg(TrainOptions):
             return cls.resumed(checkpoints.load_state(path), task)
         if paths.config is not None:
             return cls.from_file(paths.config, task)
-        return cls.from_task(task) if task else replace(cls.from_task(TASK), task=tyro.MISSING)
+        if task:
+            return cls.from_task(task)
+        # Without a task the help shows the settings of the default one.
+        return replace(cls.from_task(TASK), task=tyro.MISSING)
 
     @classmethod
     def from_file(cls, path: Path, task: str = "") -> Self:
-        """The settings of a task, by default the file's, with what a file says of them.
+        """Return the settings of a task, with those that a file changes.
 
-        Raises RenetError for a file that cannot be read or says what the task has not.
+        Args:
+            path: Configuration file, JSON or YAML.
+            task: Id of the task, by default the one that the file states.
+
+        Raises:
+            RenetError: The file cannot be read, or has a setting that the task lacks.
         """
         settings = read_settings(path)
         options = options_of(settings, path)
@@ -109,16 +126,19 @@ class TrainCfg(TrainOptions):
             if part in settings:
                 changed = configured(getattr(cfg, part), settings[part], part)
                 setattr(cfg, part, changed)
-        # In its own place, where the command line can still change it.
+        # Not as an option of `train`, which would win over `--env.scene.num-envs`.
         if robots is not None:
             cfg.env.scene.num_envs = robots
         return cfg
 
     @classmethod
     def resumed(cls, state: dict[str, Any], task: str = "") -> Self:
-        """The settings in a checkpoint's state; those of the code for what it does not say.
+        """Return the settings of a checkpoint; those that it lacks are the task's.
 
-        The task is by default the checkpoint's; another one brings rules of its own.
+        Args:
+            state: The checkpoint's `state.json`.
+            task: Id of the task, by default the checkpoint's. Of another task's checkpoint, only
+                the agent and the number of robots are restored.
         """
         cfg = cls.from_task(task or str(state.get("task", "")))
         stored = state["env"]
@@ -130,79 +150,137 @@ class TrainCfg(TrainOptions):
 
 
 def train(cfg: TrainCfg) -> Path | None:
-    """Train and return the run folder (None on ranks above 0).
+    """Train, and return the run's folder (None on ranks above 0).
 
-    Under torchrun (or any launcher that sets RANK, LOCAL_RANK and WORLD_SIZE) each process trains
-    its own robots and gradients are averaged. After Ctrl-C or TERM training stops with a
-    checkpoint; the next one interrupts at once.
+    Under torchrun, or any launcher that sets RANK, LOCAL_RANK and WORLD_SIZE, each process trains
+    its own robots, and gradients are averaged. The first Ctrl-C or TERM stops training with a
+    checkpoint; the second one interrupts it at once.
 
     Raises:
-        RenetError: anything a user can put right.
-        SystemExit: a signal stopped it.
+        RenetError: The settings or the machine do not allow the training.
+        SystemExit: A signal stopped it.
     """
     deadline = time.monotonic() + seconds(cfg.time_budget)
-    agent, rank = cfg.agent, int(os.getenv("RANK", "0"))
+    rank = int(os.getenv("RANK", "0"))
     device = resolve_device(cfg.device)
-    if device != "cpu":  # Before mjlab wraps Warp's streams: as those of the current device.
+    # Before mjlab is used, because it wraps Warp's streams of the current device.
+    if device != "cpu":
         torch.cuda.set_device(device)
     path, state = checkpoint_of(cfg)
     runner: RenetRunner | None = None
+    received: list[int] = []
 
     def stop(number: int) -> None:
+        # Before there is a runner, there is nothing to save.
         if runner is None:
             raise KeyboardInterrupt
         runner.stop.set()
         received.append(number)
         console.print("Stopping with a checkpoint; Ctrl-C again interrupts at once")
 
-    received: list[int] = []
     with ExitStack() as stack:
         console = stack.enter_context(quiet(rank))
         stack.enter_context(signals(stop))
-        # Another task's run stays as it is.
-        run = resumed_run(path if state.get("task") == cfg.task else None, cfg.log_root)
-        if run and not rank:
+        # Rank 0 alone writes. A checkpoint of another task begins a new run.
+        run = None
+        if not rank and state.get("task") == cfg.task:
+            run = resumed_run(path, cfg.log_root)
+        if run:
             stack.enter_context(lock(run))
         env = make_vec_env(cfg, device, rank)
         stack.callback(env.close)
+        # Only now, so that a task that cannot be built leaves no empty folder.
         if not run and not rank:
-            run = new_run(cfg.log_root, agent.experiment_name, agent.run_name)
+            run = new_run(cfg.log_root, cfg.agent.experiment_name, cfg.agent.run_name)
             stack.enter_context(lock(run))
-        runner_cls = cast(type[RenetRunner], load_runner_cls(cfg.task))
-        built = runner_cls(env, asdict(agent), None if rank else str(run), device)
+        new_runner = make_runner(cfg, env, run, device)
         if path:
-            built.load(str(path))
-            console.print(f"Going on from {path} ({built.alg.steps / 1e6:.2f} M steps)")
-        settings = built.provenance()
-        for part in ("agent", "env", "code"):
-            for line in differences(state.get(part, settings[part]), settings[part], part):
-                console.print(printable(line))
-        if not rank and run:
-            console.print(f"Training {cfg.task} with {env.num_envs} robots in {run}")
-            console.print(iterations(agent, env.num_envs, built.alg.steps))
-            write_atomically(run / CONFIG, (json.dumps(settings, indent=1) + "\n").encode())
-        runner = built
-        with (
-            filming(films_of(cfg, run, console), deadline, received) as film,
-            Report(console, runner, agent.max_iterations, deadline) as report,
-        ):
-            left = agent.max_iterations - runner.alg.iteration
-            budget = deadline - time.monotonic()
-            newest = runner.learn(
-                left, time_budget_s=budget, report=lambda: (report.iterate(), film())
-            )
-        if rank or run is None:
+            new_runner.load(str(path))
+            console.print(f"Going on from {path} ({new_runner.alg.steps / 1e6:.2f} M steps)")
+        record_settings(cfg, new_runner, state, run, console)
+        # From now on a signal stops with a checkpoint.
+        runner = new_runner
+        newest = learn(cfg, runner, run, console, deadline, received)
+        if run is None:
             return None
         if (run / CURVES).exists():
             console.print(f"Curves: {write_run_report(run)}")
         if received:
             console.print(f"Stopped at {newest}: renet train {cfg.task} --resume {run} goes on")
+            # The exit code by which shells report a signal.
             raise SystemExit(128 + received[0])
     return run
 
 
-def films_of(cfg: TrainCfg, run: Path | None, console: Console) -> Films | None:
-    """What films a run; None where nobody wants it, or on ranks above 0."""
+def make_runner(
+    cfg: TrainCfg, env: RslRlVecEnvWrapper, run: Path | None, device: str
+) -> RenetRunner:
+    """Build the runner that the task was registered with; without `run` it writes no files."""
+    runner_cls = cast(type[RenetRunner], load_runner_cls(cfg.task))
+    return runner_cls(env, asdict(cfg.agent), str(run) if run else None, device)
+
+
+def record_settings(
+    cfg: TrainCfg, runner: RenetRunner, state: dict[str, Any], run: Path | None, console: Console
+) -> None:
+    """Print how the settings differ from a checkpoint's, and write them to the run's folder.
+
+    Args:
+        cfg: Settings of the training.
+        runner: Runner of the training.
+        state: State of the checkpoint from which it continues; empty for a new run.
+        run: Folder of the run; None on ranks above 0, which write nothing.
+        console: Console to print on.
+    """
+    settings = runner.provenance()
+    for part in ("agent", "env", "code"):
+        for line in differences(state.get(part, settings[part]), settings[part], part):
+            console.print(printable(line))
+    if run is None:
+        return
+    robots = runner.env.num_envs
+    console.print(f"Training {cfg.task} with {robots} robots in {run}")
+    console.print(describe_iterations(cfg.agent, robots, runner.alg.steps))
+    write_atomically(run / CONFIG_FILE, (json.dumps(settings, indent=1) + "\n").encode())
+
+
+def learn(
+    cfg: TrainCfg,
+    runner: RenetRunner,
+    run: Path | None,
+    console: Console,
+    deadline: float,
+    received: Sequence[int],
+) -> Path | None:
+    """Run the remaining iterations, with reports and films, and return the last checkpoint.
+
+    Args:
+        cfg: Settings of the training.
+        runner: Runner of the training.
+        run: Folder of the run; None on ranks above 0.
+        console: Console to report on.
+        deadline: Time of the monotonic clock at which to end at the latest, s.
+        received: Signals received so far; after one, the end does not wait for a film.
+    """
+    films = make_films(cfg, run, console)
+    with (
+        filming(films, deadline, received) as film,
+        Report(console, runner, cfg.agent.max_iterations, deadline) as report,
+    ):
+
+        def after_iteration() -> None:
+            report.iterate()
+            film()
+
+        return runner.learn(
+            cfg.agent.max_iterations - runner.alg.iteration,
+            time_budget_s=deadline - time.monotonic(),
+            report=after_iteration,
+        )
+
+
+def make_films(cfg: TrainCfg, run: Path | None, console: Console) -> Films | None:
+    """Build the films of a run; None if none are asked for, or on ranks above 0."""
     if not cfg.film_every or run is None:
         return None
     terrain = cfg.env.scene.terrain
@@ -210,20 +288,34 @@ def films_of(cfg: TrainCfg, run: Path | None, console: Console) -> Films | None:
     return Films(run, cfg.film_every, tiles, console.print)
 
 
-def iterations(agent: RenetRunnerCfg, robots: int, steps: int) -> str:
-    """What iterations are in a run that has taken so many environment steps, in words."""
-    fixed, batch = agent.num_steps_per_env, agent.batch_size
-    now, later = (steps_per_env(fixed, batch, robots, at) for at in (steps, math.inf))
+def describe_iterations(agent: RenetRunnerCfg, robots: int, steps: int) -> str:
+    """Say in words how many control steps an iteration has, now and later in the run.
+
+    Args:
+        agent: Settings of learning.
+        robots: Robots of this process.
+        steps: Environment steps that the run has taken.
+    """
+    fixed = agent.num_steps_per_env
+    now = steps_per_env(fixed, agent.batch_size, robots, steps)
+    later = steps_per_env(fixed, agent.batch_size, robots, math.inf)
     line = f"Each robot takes {now:,} control steps in an iteration"
-    line += f", later {later:,}" if later != now else ""
-    capped = fixed is None and later == MOST_STEPS
-    return f"{line}, the most there are: take more robots for larger batches" if capped else line
+    if later != now:
+        line += f", later {later:,}"
+    # The batch would need more steps than an iteration may have.
+    if fixed is None and later == MOST_STEPS:
+        line += ", the most there are: take more robots for larger batches"
+    return line
 
 
 def checkpoint_of(cfg: TrainCfg) -> tuple[Path | None, dict[str, Any]]:
-    """The checkpoint to go on from, and its state, which is empty where a new run begins.
+    """Find the checkpoint from which to continue, and read its state.
 
-    Raises RenetError where there is none, or it has all iterations behind it.
+    Returns:
+        Folder and state; None and an empty state for a new run.
+
+    Raises:
+        RenetError: There is no checkpoint, or its run has finished all iterations.
     """
     if cfg.resume is None:
         return None, {}
@@ -238,18 +330,20 @@ def checkpoint_of(cfg: TrainCfg) -> tuple[Path | None, dict[str, Any]]:
 
 
 def make_vec_env(cfg: TrainCfg, device: str, rank: int = 0) -> RslRlVecEnvWrapper:
-    """The task's environments as rsl_rl takes them; each rank has a seed of its own."""
-    robots, seed = cfg.env.scene.num_envs, cfg.agent.seed + rank
-    with warnings.catch_warnings(action="ignore"):  # mjlab warns of its own randomisation.
+    """Build the task's environments for rsl_rl; each rank has a seed of its own."""
+    robots = cfg.env.scene.num_envs
+    seed = cfg.agent.seed + rank
+    # mjlab warns of its own randomisation.
+    with warnings.catch_warnings(action="ignore"):
         env = make_env(cfg.env, robots, device, seed, cfg.engine)
     return RslRlVecEnvWrapper(env, clip_actions=cfg.agent.clip_actions)
 
 
 @contextmanager
 def quiet(rank: int = 0) -> Iterator[Console]:
-    """A console on standard output, where mjlab's and rsl_rl's tables do not appear meanwhile.
+    """Context with a console on standard output, which hides all that mjlab and rsl_rl print.
 
-    On ranks above 0 nothing does.
+    On ranks above 0 the console prints nothing either.
     """
     shown = sys.stdout
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
@@ -258,7 +352,11 @@ def quiet(rank: int = 0) -> Iterator[Console]:
 
 
 def resolve_device(name: str) -> str:
-    """Turn `auto` and `cuda` into this process's device and refuse one that is absent."""
+    """Return this process's device for an option such as auto, cpu, cuda or cuda:1.
+
+    Raises:
+        RenetError: There is no such device.
+    """
     check_device(name)
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
@@ -272,8 +370,12 @@ def resolve_device(name: str) -> str:
     return name
 
 
-def show(cfg: RecipeCfg) -> None:
-    """Print task, both configurations and the code's version; raises RenetError without any."""
+def show_recipe(cfg: RecipeCfg) -> None:
+    """Print task, both configurations and the code's version as JSON.
+
+    Raises:
+        RenetError: There is no such checkpoint or task.
+    """
     if cfg.checkpoint is not None:
         settings = checkpoints.load_state(checkpoints.find(cfg.checkpoint))
     else:

@@ -26,7 +26,7 @@ from renet.evaluation.trace import Trace
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, Unseen
 from renet.pilot.reach import UNSEEN
-from renet.terrain.tiles import TILE, Gap, Tile
+from renet.terrain.tiles import TILE, GapTile, Tile
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -84,7 +84,7 @@ class ReachStudy(WalkingStudy):
                 )
 
     @property
-    def two_gaps(self) -> Gap:
+    def two_gaps(self) -> GapTile:
         """Tile of two gaps in a row."""
         gap = single_gap(self.pair, _PAIR_DISTANCE)
         return replace(gap, ground=self.between, landing=_LANDING)
@@ -104,14 +104,13 @@ class ReachStudy(WalkingStudy):
         pair = partial(self._walk, evaluator, "two_gaps", self.two_gaps, _PAIR_DISTANCE)
         return parts | {"two_gaps": pair}
 
-    def _walk(self, evaluator: Evaluator, name: str, gap: Gap, metres: float) -> Part:
+    def _walk(self, evaluator: Evaluator, name: str, gap: GapTile, metres: float) -> Part:
         """Walk on one tile with each conduct, and with a healthy camera."""
         from renet.tasks.parkour_env_cfg import tile_env_cfg
-        from renet.tasks.terrains import UNSEEN as UNSEEN_TILES
-        from renet.tasks.terrains import parkour_terrain
+        from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
         kinds: dict[str, Tile] = {"gap": gap}
-        terrain = parkour_terrain(UNSEEN_TILES, kinds, levels=1)
+        terrain = parkour_terrain(EVALUATION_SEED, kinds, levels=1)
         cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
         evaluator.set_conditions(cfg)
         each = self.robots_each
@@ -138,7 +137,7 @@ class ReachStudy(WalkingStudy):
             runs.append(scene | {"unseen": label} | self._row(group, gap))
         return {"runs": runs}
 
-    def _row(self, trace: Trace, gap: Gap) -> dict[str, Any]:
+    def _row(self, trace: Trace, gap: GapTile) -> dict[str, Any]:
         """Row of one group of robots, with the ends of their first tries."""
         crossed, fell, _ = trace.first_try()
         # The camera dies at a time, so robots are not exactly where the settings say.
@@ -202,6 +201,6 @@ class ReachStudy(WalkingStudy):
         return [(f"Cameras that die before a gap, {self.robots_each} robots each", header, rows)]
 
 
-def single_gap(width: float, metres: float) -> Gap:
+def single_gap(width: float, metres: float) -> GapTile:
     """Tile with one gap whose edge is `metres` beyond the run-up, m."""
-    return Gap(low=width, high=width, island=_RUN_UP + metres)
+    return GapTile(low=width, high=width, island=_RUN_UP + metres)

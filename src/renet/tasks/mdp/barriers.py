@@ -7,7 +7,7 @@ from renet.tasks.mdp.base_state import base_position, on_tiles, tile_terrain
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import BARRIERS
 
-STOP = 0.7
+STOPPING_DISTANCE = 0.7
 """Distance of the base from a wall or an edge at which a robot must stop, m. The head is then half
 as far away."""
 
@@ -18,7 +18,7 @@ def before_barrier(env: ManagerBasedRlEnv) -> Tensor:
     if not has_barriers(env):
         return on_barriers
     command = goal(env)
-    is_near = free_distance(env, command.direction) < STOP
+    is_near = free_distance(env, command.direction) < STOPPING_DISTANCE
     return on_barriers & (command.speed > 0.0) & is_near
 
 

@@ -1,7 +1,7 @@
-"""Where robots are to go: goals (RENet, Method C), and velocities in their own frames.
+"""Commands of the robots: goals (RENet, Method C), and velocities in their own frames.
 
-A goal is a forward speed c_x and a world yaw c_yaw, sampled at random. The paper's robots have
-nothing else. The recipe's also follow velocities in any direction, as an operator steers them.
+A goal is a random forward speed c_x with a random yaw c_yaw in the world frame. The paper has goals
+alone. The recipe's robots also follow velocities in any direction, as an operator steers them.
 """
 
 import math
@@ -28,7 +28,10 @@ MAX_LAG = 0.5
 
 
 def clear_widths(env: ManagerBasedRlEnv) -> list[float]:
-    """Half-widths of the ground around the start, m, of each kind of tile; 0 of those without."""
+    """Return the half-width of the ground around the start of each kind of tile, m.
+
+    It is 0 for kinds without barriers.
+    """
     terrain = env.scene.terrain
     if terrain is None or terrain.cfg.terrain_generator is None:
         return []
@@ -37,7 +40,7 @@ def clear_widths(env: ManagerBasedRlEnv) -> list[float]:
 
 
 def check_ranges(cfg: CommandTermCfg, *names: str) -> None:
-    """Raise RenetError unless each of these fields is a finite range, the lower end first."""
+    """Raise RenetError unless all fields `names` are finite ranges, smaller number first."""
     for name in names:
         low, high = getattr(cfg, name)
         if not -math.inf < low <= high < math.inf:
@@ -47,7 +50,7 @@ def check_ranges(cfg: CommandTermCfg, *names: str) -> None:
 
 
 def check_shares(**shares: float) -> None:
-    """Raise RenetError naming a share that is not from 0 to 1."""
+    """Raise RenetError, with the share's name, for a share that is not from 0 to 1."""
     for name, share in shares.items():
         if not 0.0 <= share <= 1.0:
             raise RenetError(f"commands.{name} must be from 0 to 1, got {share}")
@@ -55,30 +58,31 @@ def check_shares(**shares: float) -> None:
 
 @dataclass(kw_only=True)
 class GoalCommandCfg(CommandTermCfg):
-    """How goals are drawn."""
+    """Distribution of goals."""
 
     resampling_time_range: tuple[float, float] = (2.0, 8.0)
-    """Seconds between goals. Most robots have left their tile after 7 s: with later changes they
-    learn to stand, but not to stop."""
+    """Range of the time between goals, s. Most robots have left their tile after 7 s: if goals
+    changed later, robots would learn to stand, but not to stop."""
     speed: tuple[float, float] = (0.2, 1.0)
-    """Range of c_x in m/s at stage 0 (paper's first level)."""
+    """Range of c_x at stage 0 (paper's first level), m/s."""
     later_speed: tuple[float, float] = (0.0, 1.0)
-    """Range of c_x at stage 1 (paper's second level)."""
+    """Range of c_x at stage 1 (paper's second level), m/s."""
     standing_share: float = 0.3
-    """Share of stage 1's redrawn goals with c_x = 0: a uniform draw alone would never ask for it.
-    None at an episode's start: to stop is harder than to stand."""
+    """Share of goals with c_x = 0 at stage 1, which a uniform distribution would never draw. An
+    episode does not begin with one, because stopping is harder to learn than standing."""
     slowest: float = 0.1
-    """At stage 1 a smaller c_x is set to 0, m/s: eq. 6 divides by c_x, and sensor noise hides
+    """Speed below which c_x is set to 0 at stage 1, m/s: eq. 6 divides by c_x, and noise hides
     slower motion."""
     first_turn: float = math.pi / 2
-    """|c_yaw - yaw| at an episode's start is uniform up to this, rad."""
+    """Largest |c_yaw - yaw| at the beginning of an episode, rad; uniform."""
     later_turn: float = math.pi / 3
-    """Largest change of c_yaw when a goal is redrawn, rad: a robot on a tile keeps leaving it."""
+    """Largest change of c_yaw from goal to goal, rad. It is less than a right angle, so that robots
+    leave their tiles."""
     told: Told = "heading"
-    """How robots are told their goals: by (c_x, sin e, cos e) with e = c_yaw - yaw, or by the twist
-    (c_x, 0, TURN_GAIN e), its turn rate at most MAX_TURN."""
+    """Form of the command that robots observe: `heading` is (c_x, sin e, cos e) with
+    e = c_yaw - yaw; `twist` is (c_x, 0, TURN_GAIN e), with a turn rate of at most MAX_TURN."""
     fixed_speed: float | None = None
-    """c_x for evaluation, m/s; c_yaw then stays each robot's starting yaw."""
+    """Constant c_x for evaluation, m/s; c_yaw is then the yaw with which each robot starts."""
 
     def __post_init__(self) -> None:
         check_ranges(self, "resampling_time_range", "speed", "later_speed")
@@ -89,7 +93,7 @@ class GoalCommandCfg(CommandTermCfg):
 
 
 class GoalCommand(CommandTerm):
-    """Holds c_x and c_yaw; `command` is what robots are told of them, [N, 3]."""
+    """Goals of all robots; `command` is the form in which robots observe them."""
 
     cfg: GoalCommandCfg
 
@@ -97,9 +101,10 @@ class GoalCommand(CommandTerm):
         super().__init__(cfg, env)
         self.robot: Entity = env.scene["robot"]
         self.stage = 0
-        """0: walk only; 1: standing still is asked for too (paper's two-level curriculum)."""
+        """Stage of the paper's two-level curriculum. 0: all goals are to walk; 1: some are to
+        stand."""
         self.standing_time = 1.0
-        """Share of other goals' time after which one to stand is replaced."""
+        """Duration of goals to stand, as a multiple of that of others."""
         self.speed = torch.zeros(self.num_envs, device=self.device)
         """c_x, [N] m/s."""
         self.yaw = torch.zeros(self.num_envs, device=self.device)
@@ -107,25 +112,25 @@ class GoalCommand(CommandTerm):
         self.commanded_distance = torch.zeros(self.num_envs, device=self.device)
         """Integral of c_x over the episode so far, [N] m."""
         self.free = torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        """Robots that follow a velocity in their own frame, not a goal, [N] bool."""
+        """True for robots that follow a velocity in their own frame instead of a goal, [N] bool."""
         self.clear = torch.tensor(clear_widths(env), device=self.device)
-        """Half-width of the ground around the start of each kind of tile with barriers, m."""
+        """Half-width of the ground around the start by kind of tile, m (see `clear_widths`)."""
         self._command = torch.zeros(self.num_envs, 3, device=self.device)
 
     @property
     def command(self) -> Tensor:
-        """What robots are told, [N, 3], as interface.TOLD says."""
+        """Command as robots observe it, [N, 3] (see `GoalCommandCfg.told`)."""
         return self._command
 
     @property
     def turn(self) -> Tensor:
-        """Turn rate towards c_yaw, [N] rad/s; 0 of robots told to stand."""
+        """Turn rate towards c_yaw, [N] rad/s; 0 for robots told to stand."""
         turn = (TURN_GAIN * self.heading_error).clamp(-MAX_TURN, MAX_TURN)
         return turn * (self.speed > 0.0)
 
     @property
     def stands(self) -> Tensor:
-        """Robots told neither to walk nor to turn, [N] bool."""
+        """True for robots told neither to walk nor to turn, [N] bool."""
         return self.speed <= 0.0
 
     @property
@@ -136,7 +141,7 @@ class GoalCommand(CommandTerm):
 
     @property
     def direction(self) -> Tensor:
-        """n_yaw = (cos c_yaw, sin c_yaw), [N, 2] (RENet eq. 6)."""
+        """Unit vector n_yaw = (cos c_yaw, sin c_yaw) in the world frame, [N, 2] (RENet eq. 6)."""
         return torch.stack((self.yaw.cos(), self.yaw.sin()), dim=-1)
 
     def reset(self, env_ids: Tensor | slice | None) -> dict[str, float]:
@@ -145,11 +150,11 @@ class GoalCommand(CommandTerm):
         return super().reset(env_ids)
 
     def compute(self, dt: float | Tensor, env_ids: Tensor | None = None) -> None:
-        """Let time pass and redraw goals whose time is up.
+        """Advance time, and draw new goals for robots whose time is up.
 
         Args:
-            dt: seconds since the last call; a tensor [N] is zero for robots that begin an episode.
-            env_ids: robots to compute, by default all.
+            dt: Time since the last call, s; a tensor [N] is zero for robots that begin an episode.
+            env_ids: Robots to compute, by default all; time passes only for all.
         """
         if env_ids is None:
             self.commanded_distance += self.speed * dt
@@ -159,10 +164,12 @@ class GoalCommand(CommandTerm):
         def uniform(low: float, high: float) -> Tensor:
             return torch.empty(len(env_ids), device=self.device).uniform_(low, high)
 
-        cfg, begins = self.cfg, self.command_counter[env_ids] == 0
+        cfg = self.cfg
+        begins = self.command_counter[env_ids] == 0
         turn = torch.where(begins, cfg.first_turn, cfg.later_turn) * uniform(-1.0, 1.0)
         if cfg.fixed_speed is not None:
-            speed, turn = torch.full_like(turn, cfg.fixed_speed), torch.zeros_like(turn)
+            speed = torch.full_like(turn, cfg.fixed_speed)
+            turn = torch.zeros_like(turn)
         elif self.stage == 0:
             speed = uniform(*cfg.speed)
         else:
@@ -172,11 +179,12 @@ class GoalCommand(CommandTerm):
             speed *= ~stands
             self.time_left[env_ids] *= torch.where(stands, self.standing_time, 1.0)
         self.speed[env_ids] = speed
-        around = torch.where(begins, self._written_heading(env_ids), self.yaw[env_ids])
-        self.yaw[env_ids] = wrap_to_pi(around + turn)
+        # The first goal turns from the robot's heading, later ones from the goal before.
+        old_yaw = torch.where(begins, self._written_heading(env_ids), self.yaw[env_ids])
+        self.yaw[env_ids] = wrap_to_pi(old_yaw + turn)
 
     def _written_heading(self, env_ids: Tensor) -> Tensor:
-        """Yaw of the pose that a reset wrote, which kinematics have not seen yet, rad."""
+        """Compute the yaw of the pose in `qpos`, which a reset may have just written, [E] rad."""
         address = self.robot.indexing.free_joint_q_adr[3:7]
         w, x, y, z = self._env.sim.data.qpos[env_ids[:, None], address].unbind(-1)
         return torch.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
@@ -184,9 +192,9 @@ class GoalCommand(CommandTerm):
     def _update_command(self, env_ids: Tensor | None) -> None:
         if self.cfg.told == "heading":
             error = self.yaw - base_heading(self._env)
-            told = self.speed, error.sin(), error.cos()
+            told = (self.speed, error.sin(), error.cos())
         else:
-            told = self.speed, torch.zeros_like(self.speed), self.turn
+            told = (self.speed, torch.zeros_like(self.speed), self.turn)
         self._command = torch.stack(told, dim=-1)
 
     def _update_metrics(self) -> None: ...
@@ -194,12 +202,12 @@ class GoalCommand(CommandTerm):
 
 @dataclass(kw_only=True)
 class DriveCommandCfg(GoalCommandCfg):
-    """How velocities are drawn, beside goals."""
+    """Distribution of velocities and goals."""
 
     told: Told = "twist"
     free_shares: dict[str, float] = field(default_factory=dict)
-    """Share of redrawn commands that are velocities, by kind of tile; `plane` is ground without
-    tiles. Kinds that are not named have goals alone."""
+    """Share of commands that are velocities, by kind of tile; `plane` is ground without tiles. On
+    other kinds all commands are goals."""
     forward: tuple[float, float] = (-MAX_REVERSE, MAX_SPEED)
     """Range of v_x, m/s."""
     sideways: float = MAX_SIDEWAYS
@@ -244,11 +252,11 @@ class DriveCommand(GoalCommand):
     def __init__(self, cfg: DriveCommandCfg, env: ManagerBasedRlEnv) -> None:
         super().__init__(cfg, env)
         self.velocity = torch.zeros(self.num_envs, 2, device=self.device)
-        """(v_x, v_y) of robots that follow a velocity, [N, 2] m/s."""
+        """Velocity (v_x, v_y) of robots that follow one, base frame, [N, 2] m/s."""
         self.free_turn = torch.zeros(self.num_envs, device=self.device)
-        """omega_z of robots that follow a velocity, [N] rad/s; with 0 they keep their heading."""
+        """Turn rate omega_z of these robots, [N] rad/s; at 0 they keep their heading."""
         self.fixed_twist: Tensor | None = None
-        """For evaluation: the twist that each robot follows from its next start on, [N, 3]."""
+        """Twist that each robot follows in evaluation from its next episode on, [N, 3], or None."""
         self._free_share = torch.zeros(self.num_envs, device=self.device)
         for kind, share in cfg.free_shares.items():
             self._free_share[on_tiles(env, kind)] = share
@@ -265,16 +273,16 @@ class DriveCommand(GoalCommand):
 
     @property
     def turn(self) -> Tensor:
-        """Turn rate that robots are told, [N] rad/s: towards their heading, or one of its own."""
+        """Turn rate that robots are told, [N] rad/s: omega_z, or where it is 0, towards c_yaw."""
         return torch.where(self.free & (self.free_turn != 0.0), self.free_turn, super().turn)
 
     @property
     def stands(self) -> Tensor:
-        """Robots told neither to walk nor to turn, [N] bool."""
+        """True for robots told neither to walk nor to turn, [N] bool."""
         return (self.speed <= 0.0) & (self.turn == 0.0)
 
     def compute(self, dt: float | Tensor, env_ids: Tensor | None = None) -> None:
-        """Let time pass, as `GoalCommand.compute` does."""
+        """Advance time (see `GoalCommand.compute`)."""
         walked = self.commanded_distance.clone()
         super().compute(dt, env_ids)
         # A velocity leads nowhere in particular: it owes no distance.
@@ -286,6 +294,7 @@ class DriveCommand(GoalCommand):
     def _resample_command(self, env_ids: Tensor) -> None:
         super()._resample_command(env_ids)
         cfg = self.cfg
+        # In evaluation all robots follow the same kind of command, which is not random.
         if self.fixed_twist is not None:
             everybody = torch.ones_like(env_ids, dtype=torch.bool)
             twist = self.fixed_twist[env_ids]
@@ -297,6 +306,7 @@ class DriveCommand(GoalCommand):
         def uniform(low: float, high: float) -> Tensor:
             return torch.empty(len(env_ids), device=self.device).uniform_(low, high)
 
+        # Velocities in all directions, some of them along x or y alone.
         forward = uniform(*cfg.forward)
         left = uniform(-cfg.sideways, cfg.sideways)
         turn = uniform(-cfg.turn, cfg.turn)
@@ -304,32 +314,49 @@ class DriveCommand(GoalCommand):
         left = left * (straight >= 2 * cfg.straight_share / 3)
         forward = forward * (straight <= 1.0 - cfg.straight_share / 3)
         velocity = torch.stack((forward, left), dim=-1)
+
+        # Some robots turn on the spot, and some of the others do not turn.
         spot = uniform(0.0, 1.0) < cfg.spot_share
         velocity = velocity * (~spot & (velocity.norm(dim=-1) >= cfg.slowest)).unsqueeze(-1)
         turn = turn * (spot | (uniform(0.0, 1.0) >= cfg.unturned_share))
+
+        # A share of the goals is replaced, but none to stand.
         free = uniform(0.0, 1.0) < self._free_share[env_ids]
-        # Goals to stand stay what they are.
         free &= self.speed[env_ids] > 0.0
         self._follow(env_ids, free, velocity, turn)
         if cfg.kick_share:
             self._kick(env_ids, free & (uniform(0.0, 1.0) < cfg.kick_share), velocity, turn)
 
     def _follow(self, env_ids: Tensor, free: Tensor, velocity: Tensor, turn: Tensor) -> None:
-        """Let robots that are `free`, [K] bool, follow a velocity [K, 2] and a turn rate [K]."""
+        """Let robots follow a velocity.
+
+        Args:
+            env_ids: Robots with a new command, [E].
+            free: True for those that follow a velocity, [E] bool.
+            velocity: Velocities (v_x, v_y) in the base frame, [E, 2] m/s.
+            turn: Turn rates, [E] rad/s.
+        """
         self.free[env_ids] = free
         self.velocity[env_ids] = velocity
         self.free_turn[env_ids] = turn
         self.speed[env_ids] = torch.where(free, velocity.norm(dim=-1), self.speed[env_ids])
-        # Whoever is not told to turn keeps the heading that he has now, as an operator expects.
+        # A robot that is not told to turn keeps its present heading, as an operator expects.
         heading = self._written_heading(env_ids)
         self.yaw[env_ids] = torch.where(free, heading, self.yaw[env_ids])
 
     def _kick(self, env_ids: Tensor, kicked: Tensor, velocity: Tensor, turn: Tensor) -> None:
-        """Give robots that are `kicked`, [K] bool, a velocity [K, 2] m/s and a turn rate [K]."""
+        """Set the velocity and turn rate of some robots at once.
+
+        Args:
+            env_ids: Robots with a new command, [E].
+            kicked: True for those to set, [E] bool.
+            velocity: Velocities (v_x, v_y) in the base frame, [E, 2] m/s.
+            turn: Turn rates, [E] rad/s.
+        """
         address = self.robot.indexing.free_joint_v_adr
         written = self._env.sim.data.qvel
         world = rotated(velocity, self._written_heading(env_ids))
-        # A free joint turns in its own frame.
+        # Of a free joint, linear velocities are in the world frame, angular ones in the base frame.
         given = {0: world[:, 0], 1: world[:, 1], 5: turn}
         for axis, value in given.items():
             before = written[env_ids, address[axis]]
@@ -352,5 +379,5 @@ class DriveCommand(GoalCommand):
 
 
 def goal(env: ManagerBasedRlEnv) -> GoalCommand:
-    """The task's command term."""
+    """Return the task's command term."""
     return env.command_manager.get_term(COMMAND)  # type: ignore[return-value]

@@ -10,7 +10,7 @@ from renet.tasks.mdp.base_state import base_position, distance_from_start, on_ti
 from renet.tasks.mdp.commands import goal
 from renet.terrain.tiles import TILE
 
-PIT_DEPTH = 0.25
+FALL_DEPTH = 0.25
 """Depth of the base below a tile's start at which it is in a gap, m."""
 MAP_DEPTH = 3.0
 """Depth of the base below a tile's start at which it is below all ground, m; the highest stairs go
@@ -31,7 +31,7 @@ def not_finite(env: ManagerBasedRlEnv) -> Tensor:
 
 def in_gap(env: ManagerBasedRlEnv) -> Tensor:
     """True where the base is below the surface of a gap tile or of a ledge, [N] bool."""
-    return (height_above_start(env) < -PIT_DEPTH) & on_tiles(env, "gap", "ledge")
+    return (height_above_start(env) < -FALL_DEPTH) & on_tiles(env, "gap", "ledge")
 
 
 def below_map(env: ManagerBasedRlEnv) -> Tensor:
