@@ -18,7 +18,7 @@ from facts import report, spread
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go2.driver import go2_robot
-from renet.deploy.robots.go2.link import COMMANDS
+from renet.deploy.robots.go2.link import COMMAND_TOPIC
 from renet.deploy.robots.go2.messages import LowCmd
 from renet.deploy.robots.go2.network import Network
 from renet.interface import CONTROL_DT
@@ -40,7 +40,7 @@ class Cfg:
 def main(cfg: Cfg) -> None:
     simulate = [sys.executable, "-m", "renet", "simulate", f"--domain={cfg.domain}"]
     simulation = subprocess.Popen(simulate, stdout=subprocess.DEVNULL)
-    commands = Network("lo", cfg.domain).reader(COMMANDS, LowCmd, depth=10_000)
+    commands = Network("lo", cfg.domain).reader(COMMAND_TOPIC, LowCmd, depth=10_000)
     robot, written, ages = go2_robot("lo", cfg.domain, timeout=30.0), [], []
     try:
         robot.connect()

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest
-from renet.bundle.card import escape
+from renet.bundle.card import escape_markdown
 from renet.cli import main
 
 MANIFEST = (pretrained(DEFAULT) / "manifest.json").read_text()
@@ -96,7 +96,7 @@ def test_markup_is_escaped(tmp_path, results):
     assert "<script>" not in text
     assert "<b>" not in text
     assert "\n# [x]" not in text
-    assert escape("a\n|b|") == r"a \|b\|"
+    assert escape_markdown("a\n|b|") == r"a \|b\|"
 
 
 def test_a_readme_that_is_no_card_stays(tmp_path, capsys):

@@ -127,7 +127,7 @@ def test_devices_are_closed_robot_first_even_after_half_a_start(tmp_path, monkey
 
 @pytest.mark.parametrize("way", ["raises", "hangs", "works"])
 def test_a_device_that_cannot_be_closed_costs_neither_score_nor_program(monkeypatch, way):
-    monkeypatch.setattr(devices, "CLOSING", 0.2)
+    monkeypatch.setattr(devices, "CLOSE_TIMEOUT", 0.2)
     never, said = threading.Event(), []
 
     class Camera:

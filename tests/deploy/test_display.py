@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from renet.deploy.controller import Decision
-from renet.deploy.display import STEPS, VelocityDisplay
+from renet.deploy.display import SHOW_EVERY, VelocityDisplay
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import Velocity
 
@@ -39,7 +39,7 @@ def test_the_velocity_asked_for_stands_beside_the_one_walked(display, walking):
         velocity.step(walking, turning)
     asked = "asked +0.60 ahead -0.10 left m/s +0.50 rad/s"
     assert lines[-1] == f"{asked}; walks +0.70 ahead -0.05 left m/s +0.40 rad/s"
-    assert len(lines) == 200 / STEPS
+    assert len(lines) == 200 / SHOW_EVERY
 
 
 def test_the_estimator_that_drives_is_shown_and_a_gait_is_smoothed(display, walking):
@@ -54,7 +54,7 @@ def test_the_estimator_that_drives_is_shown_and_a_gait_is_smoothed(display, walk
 def test_a_robot_that_does_not_walk_shows_its_mode(display, walking):
     velocity, lines = display
     for mode in (Mode.DAMPING, Mode.STANDING_UP):
-        for _ in range(STEPS):
+        for _ in range(SHOW_EVERY):
             velocity.step(replace(walking, mode=mode), None)
     assert lines == ["damping", "standing_up"]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from renet.bundle.blocks import BlockSession, Session
 from renet.bundle.contents import COMPANIONS, MANIFEST, OURS, PREVIOUS
 from renet.bundle.hub import fetch, is_remote
-from renet.bundle.manifest import SCHEMA, SCHEMAS, Manifest
+from renet.bundle.manifest import NEWEST_SCHEMA, READABLE_SCHEMAS, Manifest
 from renet.bundle.models import (
     HAS_IMAGE,
     MAP_ERROR,
@@ -29,8 +29,10 @@ from renet.errors import RenetError
 from renet.files import MAX_JSON, is_temporary, read_bytes, read_object, write_atomically
 from renet.folders import demand_own, write_folder
 
-DEFAULT, *_ = SHIPPED = ("go1-parkour", "go2-parkour")
-"""The bundles that ship with the package; the first where none is asked for."""
+SHIPPED = ("go1-parkour", "go2-parkour")
+"""Names of the bundles that ship with the package."""
+DEFAULT = SHIPPED[0]
+"""Name of the bundle that is loaded where none is named."""
 
 
 @dataclass(frozen=True)
@@ -43,40 +45,48 @@ class Bundle:
 
     @staticmethod
     def load(path: Path | str | None = None, threads: int = 1) -> Bundle:
-        """Read and verify the bundle in a folder or, where there is none, the shipped one so named.
+        """Read and verify a bundle.
 
-        None means `DEFAULT`; `hf://owner/name` is loaded from the Hugging Face Hub. With several
-        `threads`, these share the robots that a model runs for; its results are the same.
+        Args:
+            path: A bundle's folder, the name of a bundle that ships with renet, or
+                `hf://owner/name` for one on the Hugging Face Hub; None means `DEFAULT`.
+            threads: Threads that share a batch of robots. Results do not depend on it.
 
         Raises:
-            RenetError: missing or altered file, other schema, models that do not fit, or a name on
-                the Hub that cannot be loaded.
+            RenetError: A file is missing or altered, the schema is another one, the models do not
+                fit, or the Hub cannot be reached.
         """
         folder = find_bundle(path)
         manifest = read_manifest(folder)
-        models = {
-            name: read_model(folder / f"{name}.onnx", manifest.sha256.get(f"{name}.onnx"))
-            for name in MODELS
-        }
+        models = {}
+        for name in MODELS:
+            file = f"{name}.onnx"
+            models[name] = read_model(folder / file, manifest.sha256.get(file))
+        # No model is run in this process before it has run in one with limits.
         try_models(models, manifest.history, str(folder))
-        single = {name: session(data) for name, data in models.items()}
-        sessions: Mapping[str, Session] = single
-        if threads > 1:
-            sessions = {name: BlockSession(one, threads) for name, one in single.items()}
+        sessions: dict[str, Session] = {}
+        for name, data in models.items():
+            single = session(data)
+            sessions[name] = single if threads == 1 else BlockSession(single, threads)
         bundle = Bundle(folder, manifest, sessions)
+        bundle._check_selector()
+        return bundle
+
+    def _check_selector(self) -> None:
+        """Raise RenetError if the selector needs an input or output that the models lack."""
+        selector = self.manifest.selector
         needed = {"variance": ("vision", VARIANCE), "map_error": ("estimator", MAP_ERROR)}
         for name, (model, output) in needed.items():
-            if name in manifest.selector.thresholds and output not in bundle.outputs(model):
+            if name in selector.thresholds and output not in self.outputs(model):
                 raise RenetError(
-                    f"{folder}: the selector has a threshold of the {name.replace('_', ' ')}, but"
-                    f" {model}.onnx has no {output}: run `renet calibrate`"
+                    f"{self.path}: the selector has a threshold of the {name.replace('_', ' ')}, "
+                    f"but {model}.onnx has no {output}: run `renet calibrate`"
                 )
-        if manifest.selector.longest_memory and not remembers(sessions["estimator"]):
+        if selector.longest_memory and not remembers(self.sessions["estimator"]):
             raise RenetError(
-                f"{folder}: the selector lets VP drive without an image, but estimator.onnx has no"
-                f" input {HAS_IMAGE}: set selector.longest_memory to 0"
+                f"{self.path}: the selector lets VP drive without an image, but estimator.onnx has "
+                f"no input {HAS_IMAGE}: set selector.longest_memory to 0"
             )
-        return bundle
 
     def outputs(self, model: str) -> set[str]:
         """Names of a model's outputs."""
@@ -84,26 +94,27 @@ class Bundle:
 
     @property
     def predicts_variance(self) -> bool:
-        """Whether its detector predicts the variance of its own error."""
+        """True if the detector predicts the variance of its own error."""
         return VARIANCE in self.outputs("vision")
 
     @property
     def name(self) -> str:
-        """The folder's name."""
+        """Name of the folder."""
         return self.path.name
 
     @property
     def sha256(self) -> str:
-        """The digest of all that decides, models' digests and the selector, in hexadecimal."""
+        """Hexadecimal SHA-256 of the models' digests and the selector: of all that decides."""
         selector = dataclasses.asdict(self.manifest.selector)
-        if not selector["longest_memory"]:  # Bundles from before memory keep their digest.
+        # Bundles from before memory keep their digest.
+        if not selector["longest_memory"]:
             del selector["longest_memory"]
         digests = json.dumps([self.manifest.sha256, selector], sort_keys=True)
         return hashlib.sha256(digests.encode()).hexdigest()
 
 
 def find_bundle(name: Path | str | None = None) -> Path:
-    """The folder that a bundle's name stands for, which need not be one; raises as `fetch`."""
+    """Return the folder that a name stands for, which need not hold a bundle; raises as `fetch`."""
     if name is None:
         return pretrained(DEFAULT)
     if is_remote(name):
@@ -115,14 +126,15 @@ def find_bundle(name: Path | str | None = None) -> Path:
 
 
 def pretrained(name: str) -> Path:
-    """Folder of a bundle that ships with renet."""
+    """Return the folder of a bundle that ships with renet."""
     return Path(str(files("renet").joinpath("pretrained", name)))
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read and check `manifest.json` alone; raises RenetError, also where a file is foreign."""
+    """Read and check `manifest.json` alone; raises RenetError, also for a file of no bundle."""
     if not folder.is_dir():
         raise RenetError(f"no bundle at {folder}: give a folder made by `renet export`")
+    # A link or a foreign file may lead out of the folder, or be lost when the bundle is replaced.
     for path in sorted(folder.iterdir()):
         regular = path.is_file() and (path.name in OURS or is_temporary(path.name))
         if path.is_symlink() or not (regular or path.name in COMPANIONS):
@@ -131,22 +143,28 @@ def read_manifest(folder: Path) -> Manifest:
                 "bundle's files alone to another folder"
             )
     value = read_object(folder / MANIFEST, "manifest")
-    if value.get("schema") not in SCHEMAS:
+    if value.get("schema") not in READABLE_SCHEMAS:
         schema = str(value.get("schema"))[:40]
-        readable = " and ".join(map(str, SCHEMAS))
+        readable = " and ".join(map(str, READABLE_SCHEMAS))
         raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {readable}")
     source = f"the manifest {folder / MANIFEST}"
     return from_json(Manifest, value, source, "export the bundle anew")
 
 
 def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Path:
-    """Write a bundle whole, or replace one: ONNX bytes by name and a manifest without digests.
+    """Write a bundle, or replace one; a failure leaves the folder as it was.
+
+    Args:
+        path: Folder of the bundle.
+        models: ONNX bytes by the models' names.
+        manifest: Manifest without digests, which are added here.
 
     Raises:
-        RenetError: the folder holds anything that is not a bundle's, which stays as it is; the
-            models do not fit the manifest; or it cannot be written.
+        RenetError: The folder holds anything but a bundle's files, the models do not fit the
+            manifest, or it cannot be written.
     """
-    path = path.resolve()  # Which the current folder no longer is once it is replaced.
+    # A relative path is lost once the current folder itself is replaced.
+    path = path.resolve()
     try_models({name: models[name] for name in MODELS}, manifest.history, "the new bundle")
     contents = {f"{name}.onnx": data for name, data in models.items()}
     digests = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
@@ -162,12 +180,12 @@ def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Pa
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Replace a bundle's manifest alone; the old one stays as `PREVIOUS`. Raises RenetError."""
+    """Replace a bundle's manifest alone; the old one is kept as `PREVIOUS`. Raises RenetError."""
     before = read_bytes(folder / MANIFEST, MAX_JSON, "manifest")
     write_atomically(folder / PREVIOUS, before, "manifest")
     write_atomically(folder / MANIFEST, _json(manifest), "manifest")
 
 
 def _json(manifest: Manifest) -> bytes:
-    manifest = dataclasses.replace(manifest, schema=SCHEMA)
+    manifest = dataclasses.replace(manifest, schema=NEWEST_SCHEMA)
     return (json.dumps(dataclasses.asdict(manifest), indent=1) + "\n").encode()

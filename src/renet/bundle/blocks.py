@@ -1,8 +1,8 @@
-"""A model that several threads run side by side, each for some of the robots.
+"""A model run by several threads, each for some of the robots.
 
-ONNX Runtime would split every single operation among its threads, which wait for each other by
-spinning. And where it splits depends on the number of rows: a robot's results would depend, in
-their last digit, on how many others walk beside it.
+ONNX Runtime's own threads split every single operation, and spin while they wait for each other.
+Where they split depends on the number of rows, so that a robot's results would depend, in the last
+digit, on how many robots are in the batch.
 """
 
 from collections.abc import Sequence
@@ -12,15 +12,17 @@ from typing import Any
 import numpy as np
 import onnxruntime as ort
 
-BLOCK = 32
-"""Most rows of a block; what a processor's cache holds."""
+_BLOCK_ROWS = 32
+"""Most rows of a block, so that its activations fit a processor's cache."""
 
 
 class BlockSession:
-    """Runs a session of one thread for blocks of rows; its methods are those of the session."""
+    """Session that runs blocks of rows on several threads, with the methods of ONNX Runtime's."""
 
     def __init__(self, session: ort.InferenceSession, threads: int) -> None:
-        self._session, self._threads = session, threads
+        """Run `session` on `threads` threads."""
+        self._session = session
+        self._threads = threads
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="model")
 
     def get_inputs(self) -> Sequence[Any]:
@@ -32,9 +34,10 @@ class BlockSession:
         return self._session.get_outputs()
 
     def run(self, names: Sequence[str], feed: dict[str, np.ndarray]) -> list[np.ndarray]:
-        """Outputs by their names, [N, ...] each, from inputs of as many rows."""
+        """Return the outputs of these names, [N, ...] each, from inputs [N, ...]."""
         rows = len(next(iter(feed.values())))
-        blocks = max(min(self._threads, rows), -(-rows // BLOCK))
+        # As many blocks as threads, or more where blocks of that size would not fit the cache.
+        blocks = max(min(self._threads, rows), -(-rows // _BLOCK_ROWS))
         edges = [rows * block // blocks for block in range(blocks + 1)]
 
         def run_block(start: int, end: int) -> Any:
@@ -45,4 +48,4 @@ class BlockSession:
 
 
 Session = ort.InferenceSession | BlockSession
-"""What runs a model."""
+"""A model that is ready to run."""

@@ -1,4 +1,4 @@
-"""`renet bundle card`: a model card for the Hugging Face Hub, from a bundle's own files.
+"""`renet bundle card`: a model card for the Hugging Face Hub, from the files of a bundle.
 
 Its front matter follows the Hub's specification, `modelcard.md` of github.com/huggingface/hub-docs.
 """
@@ -18,10 +18,10 @@ from renet.errors import RenetError
 from renet.files import MAX_JSON, read_bytes, read_object, write_atomically
 
 MAX_SUMMARY = 64_000_000
-"""Bytes."""
-START = b"---\n"
-"""The first line of a front matter, with which every card begins."""
-NOTHING = "No study's results were given, so nothing is claimed here."
+"""Largest size of a study's summary, bytes."""
+_START = b"---\n"
+"""First line of every card, which begins with a front matter."""
+_NOTHING = "No study's results were given, so nothing is claimed here."
 
 
 @dataclass(frozen=True)
@@ -51,35 +51,29 @@ def write_card(cfg: CardCfg) -> Path:
     bundle = Bundle.load(cfg.bundle)
     summaries = [] if cfg.results is None else [*_read_summaries(cfg.results, bundle)]
     path = cfg.out / "README.md"
-    if os.path.lexists(path) and not read_bytes(path, MAX_JSON, "card").startswith(START):
+    # A README.md without a front matter was written by hand.
+    if os.path.lexists(path) and not read_bytes(path, MAX_JSON, "card").startswith(_START):
         raise RenetError(f"{path} is no model card: move it, or choose another folder")
     write_atomically(path, card(bundle, summaries, cfg.license).encode(), "card")
     return cfg.out
 
 
 def card(bundle: Bundle, summaries: Sequence[dict[str, Any]], license: str) -> str:
-    """Markdown with YAML front matter; every number is read from the bundle or from its studies.
+    """Return a card: Markdown with YAML front matter.
 
-    `summaries` are the contents of their summary.json; `license` is the Hub's identifier.
+    Every number is read from the bundle or from its studies.
+
+    Args:
+        bundle: The bundle that is described.
+        summaries: Contents of the `summary.json` of each of its studies.
+        license: The Hub's identifier of a license.
     """
-    manifest, name = bundle.manifest, bundle.path.resolve().name
-    robot, camera, selector = manifest.robot, manifest.camera, manifest.selector
+    name = bundle.path.resolve().name
+    robot = bundle.manifest.robot
+    camera = bundle.manifest.camera
+    selector = bundle.manifest.selector
+    drives = escape_markdown(robot.name)
     results = [_result(summary) for summary in summaries]
-    rows = [(r["dataset"]["type"], m["name"], m["value"]) for r in results for m in r["metrics"]]
-    remarks = ["It was measured in simulation; these files hold no result of a real robot."]
-    if not selector.healthy_hours:
-        remarks.append("The selector's thresholds were never calibrated on healthy runs.")
-    for summary in summaries:
-        remarks += [escape(f"{summary['study']}: {remark}") for remark in _remarks(summary)]
-    bullets = "\n".join(f"- {remark}" for remark in remarks)
-    origin = {
-        "bundle": bundle.sha256,
-        **{k: v for k, v in asdict(manifest.provenance).items() if v != ""},
-        "threshold beta": selector.beta,
-        "calibration": selector.calibration or "none",
-        "healthy robot hours of the calibration": selector.healthy_hours,
-        **{f"SHA-256 of {file}": digest for file, digest in manifest.sha256.items()},
-    }.items()
     return f"""\
 ---
 license: {license}
@@ -91,9 +85,9 @@ model-index:
   results: {_yaml(results)}
 ---
 
-# {escape(name)}
+# {escape_markdown(name)}
 
-A locomotion policy for the {escape(robot.name)} ({len(robot.joints)} joints) with a depth camera of
+A locomotion policy for the {drives} ({len(robot.joints)} joints) with a depth camera of
 {camera.height} × {camera.width} pixels, {camera.range:g} m range, {camera.rate_hz:g} Hz. It has two
 estimators of the robot's state, one with and one without the camera. A selector decides at
 {selector.rate_hz:g} Hz which of them the actor follows. Three ONNX models; NumPy and ONNX Runtime
@@ -101,15 +95,15 @@ run them.
 
 ## Results
 
-{_table(("study", "measured", ""), rows) if rows else NOTHING}
+{_results_table(results)}
 
 ## Limits and how the results were made
 
-{bullets}
+{_limits(bundle, summaries)}
 
 ## Provenance
 
-{_table(("", ""), origin)}
+{_provenance_table(bundle)}
 
 ## How to run it
 
@@ -122,8 +116,44 @@ renet deploy FOLDER --robot mujoco
 """
 
 
-def escape(value: Any) -> str:
-    """One line of text in which no character means anything to Markdown or HTML."""
+def _results_table(results: Sequence[dict[str, Any]]) -> str:
+    """Table of all metrics of the studies, or a sentence where there is none."""
+    rows = []
+    for result in results:
+        for metric in result["metrics"]:
+            rows.append((result["dataset"]["type"], metric["name"], metric["value"]))
+    return _table(("study", "measured", ""), rows) if rows else _NOTHING
+
+
+def _limits(bundle: Bundle, summaries: Sequence[dict[str, Any]]) -> str:
+    """Bullets that limit the claims: of the bundle first, then of each study."""
+    remarks = ["It was measured in simulation; these files hold no result of a real robot."]
+    if not bundle.manifest.selector.healthy_hours:
+        remarks.append("The selector's thresholds were never calibrated on healthy runs.")
+    for summary in summaries:
+        for remark in _remarks(summary):
+            remarks.append(escape_markdown(f"{summary['study']}: {remark}"))
+    return "\n".join(f"- {remark}" for remark in remarks)
+
+
+def _provenance_table(bundle: Bundle) -> str:
+    """Table of the weights' origin, the selector's calibration and the models' digests."""
+    manifest = bundle.manifest
+    selector = manifest.selector
+    origin: dict[str, Any] = {"bundle": bundle.sha256}
+    for key, value in asdict(manifest.provenance).items():
+        if value != "":
+            origin[key] = value
+    origin["threshold beta"] = selector.beta
+    origin["calibration"] = selector.calibration or "none"
+    origin["healthy robot hours of the calibration"] = selector.healthy_hours
+    for file, digest in manifest.sha256.items():
+        origin[f"SHA-256 of {file}"] = digest
+    return _table(("", ""), origin.items())
+
+
+def escape_markdown(value: Any) -> str:
+    """Put a value on one line in which no character means anything to Markdown or HTML."""
     text = " ".join(str(value).split())
     text = "".join(c if c.isprintable() else " " for c in text)
     text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
@@ -131,7 +161,7 @@ def escape(value: Any) -> str:
 
 
 def _read_summaries(folder: Path, bundle: Bundle) -> Iterator[dict[str, Any]]:
-    """The studies in a folder and in those inside it; raises RenetError for what is none."""
+    """Read the studies in a folder and its subfolders; raises RenetError for a file of none."""
     paths = sorted([*folder.glob("summary.json"), *folder.glob("*/summary.json")])
     if not paths:
         raise RenetError(f"no summary.json in {folder}: give a folder that `renet evaluate` wrote")
@@ -139,7 +169,8 @@ def _read_summaries(folder: Path, bundle: Bundle) -> Iterator[dict[str, Any]]:
         summary = read_object(path, "summary", MAX_SUMMARY)
         try:
             of_bundle = summary["provenance"]["bundle_hash"] == bundle.sha256
-            card(bundle, [summary], "")  # Whatever it lacks shows before anything is written.
+            # Whatever the summary lacks fails here, before anything is written.
+            card(bundle, [summary], "")
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             why = f"it lacks {error}" if isinstance(error, KeyError) else error
             raise RenetError(f"{path} is no study's summary: {why}") from error
@@ -149,20 +180,11 @@ def _read_summaries(folder: Path, bundle: Bundle) -> Iterator[dict[str, Any]]:
 
 
 def _result(summary: dict[str, Any]) -> dict[str, Any]:
-    """A study's entry in the Hub's model-index; study and command stand for the data set."""
-    metrics, intervals = [], summary.get("levels_ci95", {})
-    for tile, level in summary.get("levels", {}).items():
-        low, high = intervals.get(tile, (None, None))
-        interval = "" if None in (low, high) else f" (95 % interval {low:.3g} to {high:.3g})"
-        name = f"mean highest level, {tile}{interval}"
-        metrics.append({"type": "level", "name": name, "value": float(level)})
-    runs = [run for run in summary["runs"] if "falls" in run]
-    for mode in dict.fromkeys(run["mode"] for run in runs):
-        falls = [run["falls"] for run in runs if run["mode"] == mode]
-        robots = sum(run.get("robots", 1) for run in runs if run["mode"] == mode)
-        settings = f"{sum(map(bool, falls))} of {len(falls)} settings"
-        name = f"falls of {robots} robots with {mode}, in {settings}"
-        metrics.append({"type": "falls", "name": name, "value": sum(falls)})
+    """A study's entry in the Hub's model-index.
+
+    The Hub wants a data set of each result: the study and its command stand for it.
+    """
+    metrics = [*_level_metrics(summary), *_fall_metrics(summary)]
     return {
         "task": {"type": "robotics", "name": "quadruped locomotion in simulation"},
         "dataset": {"type": summary["study"], "name": summary["provenance"]["command"]},
@@ -170,8 +192,31 @@ def _result(summary: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _level_metrics(summary: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Mean highest level that robots reached on each kind of tile."""
+    intervals = summary.get("levels_ci95", {})
+    for tile, level in summary.get("levels", {}).items():
+        low, high = intervals.get(tile, (None, None))
+        interval = "" if None in (low, high) else f" (95 % interval {low:.3g} to {high:.3g})"
+        name = f"mean highest level, {tile}{interval}"
+        yield {"type": "level", "name": name, "value": float(level)}
+
+
+def _fall_metrics(summary: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Falls of all robots that were driven in each mode."""
+    runs = [run for run in summary["runs"] if "falls" in run]
+    # Each mode once, in the order of the runs.
+    for mode in dict.fromkeys(run["mode"] for run in runs):
+        of_mode = [run for run in runs if run["mode"] == mode]
+        falls = [run["falls"] for run in of_mode]
+        robots = sum(run.get("robots", 1) for run in of_mode)
+        settings = f"{sum(map(bool, falls))} of {len(falls)} settings"
+        name = f"falls of {robots} robots with {mode}, in {settings}"
+        yield {"type": "falls", "name": name, "value": sum(falls)}
+
+
 def _remarks(summary: dict[str, Any]) -> Iterator[str]:
-    """How a study's numbers were made, whether its claims were met, and what went unnoticed."""
+    """Sentences on a study: its command and date, its claims, and the faults it did not notice."""
     origin = summary["provenance"]
     yield "{command}, seed {seed}, {engine} engine, renet {renet_version}, {date}".format(**origin)
     for claim in summary.get("claims", ()):
@@ -181,11 +226,21 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
 
 
 def _yaml(value: Any) -> str:
-    """JSON on one line, which is YAML, too."""
-    return "".join(c if c.isprintable() else " " for c in json.dumps(value, ensure_ascii=False))
+    """Write a value as JSON on one line, which is YAML, too."""
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(c if c.isprintable() else " " for c in text)
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    lines = [(f"{v:.6g}" if isinstance(v, float) else escape(v) for v in row) for row in rows]
-    lines = [header, ["---"] * len(header), *lines]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    """Markdown table, with numbers to six digits."""
+    lines = [_row(header), _row(["---"] * len(header))]
+    for row in rows:
+        cells = []
+        for value in row:
+            cells.append(f"{value:.6g}" if isinstance(value, float) else escape_markdown(value))
+        lines.append(_row(cells))
+    return "\n".join(lines)
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

@@ -2,12 +2,15 @@
 
 from renet.bundle.models import MODELS
 
-MANIFEST, PREVIOUS = "manifest.json", "manifest.previous.json"
+MANIFEST = "manifest.json"
+"""The manifest."""
+PREVIOUS = "manifest.previous.json"
+"""The manifest before its last change."""
 OURS = (MANIFEST, PREVIOUS, *(f"{name}.onnx" for name in MODELS))
-"""Every file of a bundle."""
+"""Files that renet writes."""
 CARD = "README.md"
 """The model card."""
 COMPANIONS = (CARD, "LICENSE", ".gitattributes", ".gitignore", ".git", ".cache")
-"""What git, the Hugging Face Hub and `renet bundle card` keep beside them, which is never read."""
+"""Files of git, the Hugging Face Hub and `renet bundle card`, which are never read."""
 SHARED = (*(name for name in OURS if name != PREVIOUS), CARD, "LICENSE")
 """The files that are loaded from the Hub and pushed to it."""

@@ -1,7 +1,8 @@
-"""What an ONNX model may hold: operators whose time and memory no value of an input can change.
+"""Check of ONNX models: operators whose time and memory no value of an input can change.
 
-A model is a program. Its file is protobuf; the numbers of its fields are those of
-https://github.com/onnx/onnx/blob/main/onnx/onnx.proto. Whatever is not listed here is refused.
+A model is a program, which may come from a stranger. Its file is protobuf; the numbers of its
+fields are those of https://github.com/onnx/onnx/blob/main/onnx/onnx.proto. Whatever is not listed
+here is refused.
 """
 
 from collections.abc import Iterator
@@ -15,9 +16,23 @@ FIELDS = {
 }
 """Fields that each kind of message may have: no functions, no graphs in attributes, no sparse
 tensors, no weights in other files."""
-GRAPH, NODE, INITIALIZER = 7, 1, 5
-INPUT, OUTPUT, OPERATOR, ATTRIBUTE, DOMAIN = 1, 2, 4, 5, 7
-TENSOR, NAME = 5, 8
+# Numbers of the fields that are looked at: of a model, of a graph, of a node, of an attribute and
+# of a tensor.
+_GRAPH = 7
+_NODE = 1
+_INITIALIZER = 5
+_INPUT = 1
+_OUTPUT = 2
+_OPERATOR = 4
+_ATTRIBUTE = 5
+_DOMAIN = 7
+_TENSOR = 5
+_NAME = 8
+# Kinds of protobuf's contents ("wire types"): a varint, 8 bytes, bytes after their count, 4 bytes.
+_VARINT = 0
+_FIXED64 = 1
+_COUNTED = 2
+_FIXED32 = 5
 OPERATORS = """
     Abs Acos Acosh Add And ArgMax ArgMin Asin Asinh Atan Atanh AveragePool BatchNormalization
     BitwiseAnd BitwiseNot BitwiseOr BitwiseXor Cast Ceil Celu Clip Concat Constant Conv
@@ -36,62 +51,79 @@ SIZED = ("Expand", "Pad", "Reshape", "Slice", "Split", "Squeeze", "Unsqueeze")
 
 
 def check_graph(data: bytes) -> None:
-    """Refuse a file that is no ONNX protobuf, or whose time and memory may depend on its inputs.
+    """Refuse a model whose time or memory may depend on the values of its inputs.
 
-    Raises ValueError naming what it holds that it may not.
+    Raises:
+        ValueError: The file is no ONNX protobuf, or holds a part that is not accepted, which the
+            message names.
     """
     if data[4:8] == b"ORTM":
         raise ValueError("it is in ONNX Runtime's own format, not in ONNX")
-    graphs = [value for number, value in _fields(memoryview(data), "model") if number == GRAPH]
+    graphs = [value for number, value in _fields(memoryview(data), "model") if number == _GRAPH]
     if not graphs:
         raise ValueError("it has no graph")
-    constants = {b""}  # Names of what no input's value can change; an absent input has no name.
+    # Names of tensors that no input's value can change. An absent input has an empty name.
+    constants = {b""}
     nodes: list[memoryview] = []
-    for graph in graphs:  # Protobuf joins the parts of a message that comes in several.
+    # Protobuf joins the parts of a message that comes in several.
+    for graph in graphs:
         for number, value in _fields(graph, "graph"):
-            if number == NODE:
+            if number == _NODE:
                 nodes.append(value)
-            elif number == INITIALIZER:
-                constants |= {bytes(v) for n, v in _fields(value, "tensor") if n == NAME}
+            elif number == _INITIALIZER:
+                constants |= {bytes(v) for n, v in _fields(value, "tensor") if n == _NAME}
     for node in nodes:
         _check_node(node, constants)
 
 
 def _check_node(node: memoryview, constants: set[bytes]) -> None:
-    """Refuse a node (ValueError), or add its outputs to `constants` where all its inputs are."""
+    """Check a node, and add its outputs to `constants` if all its inputs are constant.
+
+    Raises:
+        ValueError: The operator or the size of its output is not accepted.
+    """
     parts: dict[int, list[bytes]] = {number: [] for number in FIELDS["node"]}
     for number, value in _fields(node, "node"):
         parts[number].append(bytes(value))
-    operator = parts[OPERATOR][-1].decode(errors="replace") if parts[OPERATOR] else ""
-    if any(parts[DOMAIN]) or operator not in OPERATORS.split():
-        domain = b"".join(parts[DOMAIN]).decode(errors="replace")
+    operator = parts[_OPERATOR][-1].decode(errors="replace") if parts[_OPERATOR] else ""
+    if any(parts[_DOMAIN]) or operator not in OPERATORS.split():
+        domain = b"".join(parts[_DOMAIN]).decode(errors="replace")
         raise ValueError(f"it has the operator {f'{domain} {operator}'.strip()[:60]!r}")
-    for attribute in parts[ATTRIBUTE]:
+    # Reading the fields of attributes checks them.
+    for attribute in parts[_ATTRIBUTE]:
         for number, value in _fields(memoryview(attribute), "attribute"):
-            if number == TENSOR:
+            if number == _TENSOR:
                 list(_fields(value, "tensor"))
-    inputs = parts[INPUT]
+    inputs = parts[_INPUT]
     sizes = inputs[1:] if operator in SIZED or operator.startswith("Reduce") else []
     if not constants.issuperset(sizes):
         raise ValueError(f"the size of a {operator}'s output depends on values")
+    # Shapes follow from the sizes of the model's inputs, which are fixed.
     if operator == "Shape" or constants.issuperset(inputs):
-        constants.update(parts[OUTPUT])
+        constants.update(parts[_OUTPUT])
 
 
 def _fields(message: memoryview, kind: str) -> Iterator[tuple[int, memoryview]]:
-    """Numbers and contents of a message's fields; a number's own content is empty.
+    """Yield number and content of each of a message's fields; that of a varint is empty.
 
-    Raises ValueError if it is torn, or has a field that this kind of message may not have.
+    Raises:
+        ValueError: The message is cut short, or has a field that its kind may not have.
     """
     at = 0
     while at < len(message):
         key, at = _integer(message, at)
-        number, wire = key >> 3, key & 7
-        size = {1: 8, 5: 4}.get(wire, 0)
-        value, at = _integer(message, at) if wire in (0, 2) else (0, at)
-        size = value if wire == 2 else size
-        inside = kind == "tensor" and (number, wire, value) == (14, 0, 0)  # Its data's location.
-        if wire not in (0, 1, 2, 5) or not (number in FIELDS[kind] or inside):
+        number = key >> 3
+        wire = key & 7
+        size = {_FIXED64: 8, _FIXED32: 4}.get(wire, 0)
+        value = 0
+        if wire in (_VARINT, _COUNTED):
+            value, at = _integer(message, at)
+        if wire == _COUNTED:
+            size = value
+        # Field 14 tells where a tensor's data is, and 0 that it is inside of the file.
+        inside = kind == "tensor" and (number, wire, value) == (14, _VARINT, 0)
+        known = wire in (_VARINT, _FIXED64, _COUNTED, _FIXED32)
+        if not known or not (number in FIELDS[kind] or inside):
             raise ValueError(f"its {kind} has a field {number}, which is not accepted")
         if at + size > len(message):
             raise ValueError(f"its {kind} is torn")
@@ -100,12 +132,13 @@ def _fields(message: memoryview, kind: str) -> Iterator[tuple[int, memoryview]]:
 
 
 def _integer(message: memoryview, at: int) -> tuple[int, int]:
-    """A number of up to ten bytes, and where it ends."""
+    """Read a varint, a number of up to ten bytes; returns it and the position after it."""
     value = 0
     for place in range(10):
         if at + place == len(message):
             break
         byte = message[at + place]
+        # Seven bits of the number a byte; the eighth says that another byte follows.
         value |= (byte & 127) << 7 * place
         if byte < 128:
             return value, at + place + 1

@@ -9,35 +9,37 @@ from renet.bundle.contents import SHARED
 from renet.errors import RenetError, install
 
 PREFIX = re.compile(r"hf:/{1,2}")
-"""Of a name on the Hub; a Path of it has a single slash."""
-NAME = r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*"
-"""Owner and name."""
+"""Pattern that begins names on the Hub; a `Path` of such a name has a single slash."""
+REPOSITORY = r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*"
+"""Pattern of a repository: owner and name."""
 NEWEST = "main"
-"""The revision that is loaded where none is named."""
+"""Revision that is loaded where none is named."""
 
 
 def is_remote(name: Path | str) -> bool:
-    """Whether a bundle's name is one on the Hub."""
+    """Return True if a bundle's name is one on the Hub."""
     return PREFIX.match(str(name)) is not None
 
 
 def fetch(name: Path | str) -> Path:
-    """The folder on this computer with the newest files of a bundle on the Hub.
+    """Load a bundle from the Hub, and return its folder on this computer.
 
-    Without a connection, those that were loaded before.
+    Without a connection, the files that were loaded before are used.
 
     Args:
-        name: hf://owner/name or hf://owner/name@revision.
+        name: `hf://owner/name` or `hf://owner/name@revision`.
 
     Raises:
-        RenetError: another name, no such repository, no connection, or no huggingface_hub here.
+        RenetError: The name is another one, there is no such repository or no connection, or
+            huggingface_hub is not installed.
     """
-    match = re.fullmatch(rf"{PREFIX.pattern}({NAME})(?:@([\w./-]+))?", str(name))
+    match = re.fullmatch(rf"{PREFIX.pattern}({REPOSITORY})(?:@([\w./-]+))?", str(name))
     if match is None or ".." in str(name):
         raise RenetError(
             f"{name} names no bundle on the Hub: write hf://owner/name or hf://owner/name@revision"
         )
-    repository, revision = match[1], match[2] or NEWEST
+    repository = match[1]
+    revision = match[2] or NEWEST
     hub = library()
     folder = cache() / revision / repository
     try:
@@ -45,7 +47,7 @@ def fetch(name: Path | str) -> Path:
         hub.snapshot_download(
             repository, revision=revision, local_dir=folder, allow_patterns=[*SHARED]
         )
-    # Whatever its HTTP library raises.
+    # The errors of its HTTP library have no common class.
     except Exception as error:
         raise RenetError(
             f"cannot load hf://{repository} at {revision}: {first_line(error)}; is the name right,"
@@ -55,13 +57,13 @@ def fetch(name: Path | str) -> Path:
 
 
 def cache() -> Path:
-    """The folder for bundles from the Hub, which may be deleted at any time."""
+    """Return the folder of bundles from the Hub, which may be deleted at any time."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "renet" / "hub"
 
 
 def library() -> Any:
-    """huggingface_hub; raises RenetError where it is not installed."""
+    """Import huggingface_hub; raises RenetError if it is not installed."""
     try:
         import huggingface_hub
     except ModuleNotFoundError as error:
@@ -70,6 +72,6 @@ def library() -> Any:
 
 
 def first_line(error: Exception) -> str:
-    """What an exception says first, or its name."""
+    """Return the first line of an exception's message, or its name where it has none."""
     text = str(error).strip() or type(error).__name__
     return text.splitlines()[0].rstrip(".;: ")

@@ -1,4 +1,4 @@
-"""`renet bundle inspect`: what exactly a policy is fed, number by number."""
+"""`renet bundle inspect`: every number that a policy is fed, and what it drives."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ ELEMENTS = {
     "projected_gravity": ("x", "y", "z"),
     "command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)"),
 }
-"""Names of the numbers of a term; every other term has one number for each joint."""
+"""Names of the numbers of a term. Every other term has one number for each joint."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,8 @@ class InspectCfg:
 def inspect(cfg: InspectCfg) -> None:
     """Verify a bundle and print it; raises RenetError if it is damaged."""
     bundle = Bundle.load(cfg.bundle)
-    manifest, robot = bundle.manifest, bundle.manifest.robot
+    manifest = bundle.manifest
+    robot = manifest.robot
     print(f"{bundle.name} {bundle.sha256[:12]}  {bundle.path}")
     sizes = [(bundle.path / f"{name}.onnx").stat().st_size for name in MODELS]
     print(f"models {sum(sizes) / 1e6:.2f} MB, {manifest.provenance}")
@@ -46,21 +47,26 @@ def inspect(cfg: InspectCfg) -> None:
 
 
 def joint_rows(robot: RobotSpec) -> list[tuple[int | str, ...]]:
-    """Index, name, default position, range, gains and torque limit of every joint."""
-    ranges = [f"{a:+.2f} … {b:+.2f}" for a, b in zip(robot.lower, robot.upper, strict=True)]
-    gains = zip(robot.stiffness, robot.damping, robot.torque_limit, strict=True)
-    columns = zip(robot.joints, robot.default_position, ranges, gains, strict=True)
-    return [
-        (index, joint, f"{position:+.2f}", limits, *(f"{gain:g}" for gain in joint_gains))
-        for index, (joint, position, limits, joint_gains) in enumerate(columns)
-    ]
+    """Return index, name, default position, range, gains and torque limit of every joint."""
+    rows = []
+    for index, joint in enumerate(robot.joints):
+        row = (
+            index,
+            joint,
+            f"{robot.default_position[index]:+.2f}",
+            f"{robot.lower[index]:+.2f} … {robot.upper[index]:+.2f}",
+            f"{robot.stiffness[index]:g}",
+            f"{robot.damping[index]:g}",
+            f"{robot.torque_limit[index]:g}",
+        )
+        rows.append(row)
+    return rows
 
 
 def input_rows(manifest: Manifest) -> list[tuple[int | str, ...]]:
-    """Index, name, unit and scale of every number of o_t."""
-    rows = [
-        (f"{term.name} {element}", term.unit, f"{term.scale:g}")
-        for term in manifest.proprioception
-        for element in ELEMENTS.get(term.name, manifest.robot.joints)
-    ]
-    return [(index, *row) for index, row in enumerate(rows)]
+    """Return index, name, unit and scale of every number of the proprioception o_t."""
+    rows = []
+    for term in manifest.proprioception:
+        for element in ELEMENTS.get(term.name, manifest.robot.joints):
+            rows.append((len(rows), f"{term.name} {element}", term.unit, f"{term.scale:g}"))
+    return rows

@@ -21,17 +21,17 @@ from renet.interface import (
 )
 from renet.selector.selector import SelectorSpec, check_selector
 
-SCHEMA = 2
+NEWEST_SCHEMA = 2
 """Version of the manifests that renet writes."""
-SCHEMAS = (1, SCHEMA)
-"""Versions that renet reads; version 1 has no memory."""
-NUMBERS = ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper")
+READABLE_SCHEMAS = (1, NEWEST_SCHEMA)
+"""Versions that renet reads; version 1 knows no memory."""
+_JOINT_NUMBERS = ("default_position", "stiffness", "damping", "torque_limit", "lower", "upper")
 """Fields of `RobotSpec` with one number for each joint."""
 
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """The joints a policy was trained on; lists follow `joints`."""
+    """The robot that a policy was trained on; lists are in the order of `joints`."""
 
     name: str
     joints: tuple[str, ...]
@@ -54,8 +54,9 @@ class RobotSpec:
 
     def __post_init__(self) -> None:
         _demand(self.joints, "robot.joints must not be empty")
-        for name in NUMBERS:
-            size, count = len(getattr(self, name)), len(self.joints)
+        for name in _JOINT_NUMBERS:
+            size = len(getattr(self, name))
+            count = len(self.joints)
             _demand(size == count, f"robot.{name} must have {count} numbers, it has {size}")
         for name in ("stiffness", "damping"):
             _demand(min(getattr(self, name)) >= 0.0, f"robot.{name} must not be negative")
@@ -71,13 +72,13 @@ class RobotSpec:
 
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Its lists of numbers by name, [12] each: made once instead of at every control step."""
-        return {name: np.array(getattr(self, name)) for name in NUMBERS}
+        """The lists of numbers as arrays by name, [12] each, made once for all control steps."""
+        return {name: np.array(getattr(self, name)) for name in _JOINT_NUMBERS}
 
 
 @dataclass(frozen=True)
 class CameraSpec:
-    """What a depth image must be."""
+    """Depth image and camera that a policy was trained on."""
 
     fx: float
     """Focal length in pixels of the cropped, resized image."""
@@ -87,14 +88,15 @@ class CameraSpec:
     height: int = DEPTH_SHAPE[0]
     width: int = DEPTH_SHAPE[1]
     range: float = DEPTH_RANGE
-    """m; images are divided by it."""
+    """Range of the camera, m; images are divided by it."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """m, base frame."""
+    """Position of the camera in the base frame, m."""
     pitch: float = 0.0
     """Downward tilt, rad."""
     rate_hz: float = 10.0
     noise_std: float = 0.1
-    """m; of the constant part of the depth error in training, which simulated cameras add, too."""
+    """Standard deviation of the constant part of the depth error in training, m, which simulated
+    cameras add, too."""
 
     def __post_init__(self) -> None:
         shape = (self.height, self.width)
@@ -105,13 +107,13 @@ class CameraSpec:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """The rays of its pixels."""
+        """Intrinsics of the cropped, resized image."""
         return Intrinsics(self.height, self.width, self.fx, self.fy, self.cx, self.cy)
 
 
 @dataclass(frozen=True)
 class ProvenanceSpec:
-    """Where the weights come from: `steps` are of all robots together, `seconds` of training."""
+    """Origin of the weights; `steps` are of all robots together, `seconds` those of training."""
 
     task: str = ""
     iteration: int = 0
@@ -126,7 +128,7 @@ class ProvenanceSpec:
 
 @dataclass(frozen=True)
 class Manifest:
-    """The whole manifest; `sha256` maps file names to digests."""
+    """Manifest of a bundle; `sha256` maps the names of its models' files to digests."""
 
     robot: RobotSpec
     camera: CameraSpec
@@ -136,7 +138,7 @@ class Manifest:
     frames: int = FRAMES
     proprioception: tuple[Term, ...] = PROPRIOCEPTION
     sha256: dict[str, str] = field(default_factory=dict)
-    schema: int = SCHEMA
+    schema: int = NEWEST_SCHEMA
 
     def __post_init__(self) -> None:
         _demand(0 < self.history <= 100, f"history must be 1 to 100, got {self.history}")
@@ -147,16 +149,17 @@ class Manifest:
                 f"the bundle's joint order is {', '.join(self.robot.joints)}; this renet uses "
                 f"{', '.join(JOINTS)}"
             )
+        # The runtime makes the observations of these two alone.
         if self.proprioception not in (PROPRIOCEPTION, HEADING_PROPRIOCEPTION):
             raise RenetError("the bundle's proprioception differs from this renet's")
 
     @property
     def told(self) -> Told:
-        """How the policy is told where to go."""
+        """Form of the policy's command, see `interface.TOLD`."""
         return "twist" if self.proprioception == PROPRIOCEPTION else "heading"
 
 
 def _demand(holds: Any, what: str) -> None:
-    """Raise RenetError saying what a manifest must be, unless it is."""
+    """Raise RenetError with the message `what` unless a condition holds."""
     if not holds:
         raise RenetError(what)

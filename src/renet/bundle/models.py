@@ -30,10 +30,11 @@ from renet.interface import (
 from renet.trial import judge, run_trial
 
 MODELS = ("actor", "estimator", "vision")
-MAX_MODEL = 32 * MEGABYTE
+"""Names of a bundle's models."""
+MAX_MODEL_BYTES = 32 * MEGABYTE
 """Largest size of one model, bytes; the shipped three have 2 MB together."""
 MAX_RUN = 0.2
-"""Processor time in seconds of one run for one robot; the shipped ones need a few milliseconds."""
+"""Most processor time of one run for one robot, s; the shipped models need a few milliseconds."""
 VARIANCE = "variance_score"
 """Output [N] of vision models that predict the variance of their own error."""
 MAP_ERROR = "map_error"
@@ -41,15 +42,25 @@ MAP_ERROR = "map_error"
 HAS_IMAGE = "has_image"
 """Input [N, 1] of estimators that can do without an image: 1 where there is one, 0 where not."""
 _accepted: set[str] = set()
+"""Digests of models that this process has tried."""
 
 
 def model_shapes(history: int) -> dict[str, tuple[dict, dict]]:
-    """Inputs and outputs of each model by name, without the batch axis."""
-    depth, observation = (FRAMES, *DEPTH_SHAPE), (PROPRIOCEPTION_SIZE,)
+    """Return the shapes of each model's inputs and outputs by name, without the batch axis.
+
+    `history` is the number of proprioceptions that the estimator sees.
+    """
+    depth = (FRAMES, *DEPTH_SHAPE)
+    observation = (PROPRIOCEPTION_SIZE,)
     latents = {"latent_op": (LATENT,), "latent_vp": (LATENT,)}
-    estimates = {f"next_{name}": shape for name, shape in latents.items()}
-    estimates |= {"velocity_op": (3,), "velocity_vp": (3,), "feet_height": (NUM_FEET,)}
-    estimates["height_map"] = (HEIGHT_MAP_SIZE,)
+    estimates = {
+        "next_latent_op": (LATENT,),
+        "next_latent_vp": (LATENT,),
+        "velocity_op": (3,),
+        "velocity_vp": (3,),
+        "feet_height": (NUM_FEET,),
+        "height_map": (HEIGHT_MAP_SIZE,),
+    }
     history_and_depth = {"proprioception_history": (history, *observation), "depth": depth}
     return {
         "actor": (
@@ -62,8 +73,8 @@ def model_shapes(history: int) -> dict[str, tuple[dict, dict]]:
 
 
 def read_model(path: Path, sha256: str | None) -> bytes:
-    """A model's bytes; raises RenetError unless they are the ones its manifest describes."""
-    data = read_bytes(path, MAX_MODEL, "model")
+    """Read a model; raises RenetError unless its digest is `sha256`, the manifest's."""
+    data = read_bytes(path, MAX_MODEL_BYTES, "model")
     if hashlib.sha256(data).hexdigest() != sha256:
         raise RenetError(
             f"{path} is not the file the manifest describes (sha256 differs): export the bundle "
@@ -73,15 +84,16 @@ def read_model(path: Path, sha256: str | None) -> bytes:
 
 
 def try_models(models: dict[str, bytes], history: int, where: str) -> None:
-    """Run models once, both masks, in a process of its own; models that passed are remembered.
+    """Run models once with each mask, in a process of its own; models that passed are remembered.
 
     Args:
         models: ONNX bytes by name, in the order of `MODELS`.
-        history: proprioceptions that the estimator sees. where: the bundle, for messages.
+        history: Number of proprioceptions that the estimator sees.
+        where: Name of the bundle, for messages.
 
     Raises:
-        RenetError: one of them cannot run, needs too much time or memory, or has outputs of
-            another shape or type, or that are not finite.
+        RenetError: A model cannot run, needs too much time or memory, or has outputs of another
+            shape or type, or ones that are not finite.
     """
     digest = hashlib.sha256(b"".join([str(history).encode(), *models.values()])).hexdigest()
     if digest in _accepted:
@@ -92,24 +104,44 @@ def try_models(models: dict[str, bytes], history: int, where: str) -> None:
 
 
 def session(data: bytes) -> ort.InferenceSession:
-    """A model ready to run on one thread of the CPU; several would spin between operations."""
+    """Make a model ready to run on one thread of the CPU; several would spin between operations."""
     options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    # Errors reach the user as exceptions, so nothing is logged but what is fatal.
     options.log_severity_level = 4
     options.add_session_config_entry("session.load_model_format", "ONNX")
     return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
 
 def remembers(estimator: Session) -> bool:
-    """Whether an estimator can do without an image; those of before schema 2 cannot."""
+    """Return True if an estimator can do without an image; those of schema 1 cannot."""
     return HAS_IMAGE in {node.name for node in estimator.get_inputs()}
 
 
 def problem(model: ort.InferenceSession, name: str, history: int) -> str:
-    """What is wrong with a model's signature or with what it computes; empty if nothing is."""
+    """Check a model's inputs, run it, and check its outputs.
+
+    Args:
+        model: The model.
+        name: Its name, of `MODELS`.
+        history: Number of proprioceptions that the estimator sees.
+
+    Returns:
+        A sentence that names the problem; empty if there is none.
+    """
     inputs, outputs = model_shapes(history)[name]
     if name == "estimator" and remembers(model):
         inputs = inputs | {HAS_IMAGE: (1,)}
+    names = [node.name for node in model.get_outputs()]
+    for optional in (VARIANCE, MAP_ERROR):
+        if optional in names:
+            outputs = outputs | {optional: ()}
+    return _input_problem(model, name, inputs) or _run_problem(model, name, inputs, outputs)
+
+
+def _input_problem(model: ort.InferenceSession, name: str, inputs: dict[str, tuple]) -> str:
+    """Compare a model's inputs with those of these shapes; returns a sentence, empty if equal."""
     expected = {key: f"tensor(float) {shape} per robot" for key, shape in inputs.items()}
     actual = {n.name: f"{n.type} {tuple(n.shape[1:])} per robot" for n in model.get_inputs()}
     for key in expected | actual:
@@ -118,9 +150,15 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
                 f"{name}.onnx: input {key!r} is {actual.get(key, 'absent')}, "
                 f"expected {expected.get(key, 'absent')}"
             )
+    return ""
+
+
+def _run_problem(
+    model: ort.InferenceSession, name: str, inputs: dict[str, tuple], outputs: dict[str, tuple]
+) -> str:
+    """Run a model with each mask, and check outputs and time; returns a sentence, or nothing."""
     names = [node.name for node in model.get_outputs()]
-    optional = {VARIANCE: (), MAP_ERROR: ()}
-    outputs = outputs | {key: shape for key, shape in optional.items() if key in names}
+    # The first run is the slowest, and another program may hold the processor up.
     fastest = math.inf
     for mask in (0.0, 1.0):
         feed = {key: np.full((1, *shape), 0.5, np.float32) for key, shape in inputs.items()}
@@ -146,6 +184,7 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
 
 
 def _trial() -> str:
+    """Try the models on standard input; returns a sentence that names the first problem."""
     history, sizes = json.loads(sys.argv[1])
     for name, size in sizes.items():
         data = sys.stdin.buffer.read(size)
@@ -154,8 +193,10 @@ def _trial() -> str:
             verdict = problem(session(data), name, history)
         except ValueError as error:
             verdict = f"{name}.onnx is refused: {error}"
-        except Exception as error:  # ONNX Runtime raises its own unrelated types.
+        # The exceptions of ONNX Runtime have no common class.
+        except Exception as error:
             reason = " ".join(str(error).split())[:300] or type(error).__name__
+            # ONNX Runtime has no exception of its own for want of memory.
             if "alloc" in reason:
                 raise MemoryError from error
             verdict = f"{name}.onnx is not a model ONNX Runtime can run: {reason}"

@@ -1,4 +1,4 @@
-"""`renet bundle push`: a bundle and its card to the Hugging Face Hub."""
+"""`renet bundle push`: upload of a bundle and its card to the Hugging Face Hub."""
 
 import re
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import tyro
 from renet.bundle import Bundle
 from renet.bundle.card import card
 from renet.bundle.contents import CARD, SHARED
-from renet.bundle.hub import NAME, first_line, library
+from renet.bundle.hub import REPOSITORY, first_line, library
 from renet.errors import RenetError
 
 
@@ -30,15 +30,18 @@ class PushCfg:
 
 
 def push(cfg: PushCfg) -> str:
-    """Verify a bundle and upload its files, and its model card; returns a sentence with its name.
+    """Verify a bundle and upload its files and its model card.
 
-    The card is the folder's README.md; without one, it is written from the bundle (`bundle card`),
-    without results.
+    The card is the folder's README.md. Without one, a card without results is written from the
+    bundle, as `renet bundle card` does.
+
+    Returns:
+        A sentence with the bundle's name on the Hub, for the user.
 
     Raises:
-        RenetError: a bundle that cannot be used, a name that is none, or a refusal of the Hub's.
+        RenetError: The bundle cannot be used, the name is none of a repository, or the Hub refuses.
     """
-    if not re.fullmatch(NAME, cfg.repository) or ".." in cfg.repository:
+    if not re.fullmatch(REPOSITORY, cfg.repository) or ".." in cfg.repository:
         raise RenetError(f"{cfg.repository!r} names no repository on the Hub: write owner/name")
     bundle = Bundle.load(cfg.bundle)
     hub = library()
@@ -49,6 +52,7 @@ def push(cfg: PushCfg) -> str:
         text = card(bundle, [], "apache-2.0").encode()
         operations.append(hub.CommitOperationAdd(CARD, text))
     api = hub.HfApi()
+    # One commit holds all files, so that nobody loads half a bundle.
     try:
         api.create_repo(cfg.repository, private=cfg.private or None, exist_ok=True)
         api.create_commit(cfg.repository, operations, commit_message=message, revision=cfg.revision)

@@ -1,7 +1,7 @@
-"""What `renet deploy` knows: `--robot NAME`, `--camera NAME`, `--teleop NAME`.
+"""Catalogue of devices for `renet deploy`: `--robot NAME`, `--camera NAME`, `--teleop NAME`.
 
-MuJoCo is imported only to simulate, and a vendor's library only by a driver that is built: nobody
-needs those of the others.
+MuJoCo and the vendors' libraries are imported only by a device that is built, so that nobody needs
+those of other devices.
 """
 
 import math
@@ -58,7 +58,7 @@ class SimulationCfg(DriverCfg):
 
     @property
     def live(self) -> bool:
-        """Whether the robot's clock is the wall's."""
+        """True if the robot's clock is the wall's."""
         return self.real_time or self.viewer
 
     def check(self) -> None:
@@ -67,7 +67,7 @@ class SimulationCfg(DriverCfg):
             raise RenetError("--scene brings its own ground: leave --terrain away")
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
-        """Put the robot into its scene."""
+        """Build the scene with the robot in it."""
         from renet.deploy.robots.sim.scene import build_scene
 
         description = find_robot(robot.name)
@@ -81,7 +81,7 @@ class SimulationCfg(DriverCfg):
             self.scene_width,
             self.scene_height,
         )
-        # Engines of other packages need not know of motors.
+        # An engine of another package may not take motors.
         options = {} if motors is None else {"motors": motors}
         driver = self.engine()(model, robot, ground, live, **options)
         if self.viewer:
@@ -91,9 +91,9 @@ class SimulationCfg(DriverCfg):
         return driver
 
     def engine(self) -> Callable[..., Any]:
-        """The class of the simulated robot, called as `MujocoRobot` is.
+        """Return the class of the simulated robot, which is called as `MujocoRobot` is.
 
-        It gets `motors` only where they are not ideal.
+        It is given `motors` only if they are not ideal.
         """
         from renet.deploy.robots.sim.mujoco import MujocoRobot
 
@@ -112,11 +112,11 @@ class Go1Cfg(DriverCfg):
     """Level of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
 
     def check(self) -> None:
-        """Raise RenetError for a power level that there is not."""
+        """Raise RenetError for a power level that the robot does not have."""
         demand_power_level(self.power_level)
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
-        """The driver of the robot at `robot_host`."""
+        """Make the driver of the robot at `robot_host`."""
         return go1_robot(host=self.robot_host, power_level=self.power_level)
 
 
@@ -128,12 +128,13 @@ class Go2Cfg(DriverCfg):
     bundle: ClassVar[str | None] = "go2-parkour"
 
     interface: str = ""
-    """Network card that the robot is at, such as eth0."""
+    """Network card that the robot is connected to, such as eth0."""
     domain: int = 0
-    """Its DDS domain; that of every Go2 is 0."""
+    """DDS domain of the robot; that of every Go2 is 0."""
 
     def check(self) -> None:
         """Raise RenetError without an interface, or without Cyclone DDS."""
+        # All problems go into one error, so that nobody has to try again for each.
         names = [name for _, name in socket.if_nameindex()]
         problems = []
         if not self.interface:
@@ -147,7 +148,7 @@ class Go2Cfg(DriverCfg):
         demand_none(problems)
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
-        """The driver of the robot at `interface`; a dry run leaves its own modes alone."""
+        """Make the driver of the robot on `interface`; a dry run leaves the robot's modes alone."""
         return go2_robot(self.interface, self.domain, watch=dry_run)
 
 
@@ -158,7 +159,7 @@ class SimCameraCfg(CameraCfg):
     simulated: ClassVar[bool] = True
 
     def build(self, camera: CameraSpec, robot: Any, seed: int) -> Camera:
-        """A camera that looks at the robot's scene."""
+        """Make a camera that looks at the robot's scene."""
         from renet.deploy.cameras.sim import SimCamera
 
         return SimCamera(robot, camera, seed)
@@ -169,7 +170,7 @@ class RealSenseCfg(CameraCfg):
     """An Intel RealSense."""
 
     serial: str = ""
-    """Serial number of the camera to use; the only one by default."""
+    """Serial number of the camera; by default, the only one that is connected."""
     rotate: Literal[0, 180] = 0
     """Degrees by which the camera is turned in its mount: 180 is upside down."""
 
@@ -178,7 +179,7 @@ class RealSenseCfg(CameraCfg):
         realsense()
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
-        """A camera whose frames are timed by the robot's clock."""
+        """Make a camera whose frames are timed by the robot's clock."""
         return RealSenseCamera(
             camera, robot.now, serial=self.serial, upside_down=self.rotate == 180
         )
@@ -197,7 +198,7 @@ class ReplayCfg(CameraCfg):
             raise RenetError("--camera replay needs --recording, whose images it shows")
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
-        """A camera that shows the recording from its start."""
+        """Make a camera that shows the recording from its start."""
         assert self.recording is not None
         return ReplayCamera(read_recording(self.recording), robot.now)
 
@@ -207,7 +208,7 @@ class KeyboardCfg(TeleopCfg):
     """The keys of the terminal."""
 
     def build(self, deadman: float, simulated: bool) -> Teleop:
-        """The keyboard of standard input."""
+        """Take over the keyboard of standard input."""
         return KeyboardTeleop(deadman)
 
 
@@ -216,7 +217,7 @@ class GamepadCfg(TeleopCfg):
     """A gamepad."""
 
     def build(self, deadman: float, simulated: bool) -> Teleop:
-        """The first gamepad that can steer."""
+        """Open the first gamepad that can steer."""
         return GamepadTeleop(deadman)
 
 
@@ -229,12 +230,12 @@ class Ros2Cfg(TeleopCfg):
     topic: str = "cmd_vel"
     """Topic of ROS 2 with messages of geometry_msgs/msg/Twist."""
     ros_domain: int | None = None
-    """ROS 2's domain; by default the one that ROS_DOMAIN_ID says, or 0."""
+    """ROS 2's domain; by default that of the variable ROS_DOMAIN_ID, or 0."""
     ros_interface: str = ""
-    """Network card that ROS 2 is at, such as lo; by default Cyclone DDS' choice."""
+    """Network card of ROS 2, such as lo; by default, Cyclone DDS chooses."""
 
     def check(self) -> None:
-        """Raise RenetError for a topic or domain that cannot be, or without Cyclone DDS."""
+        """Raise RenetError for a wrong topic or domain, or if Cyclone DDS is not installed."""
         if find_spec("cyclonedds") is None:
             raise RenetError(
                 f"--teleop ros2 needs Cyclone DDS: {install('go2')} (docs/deploy.md says what to "
@@ -247,10 +248,11 @@ class Ros2Cfg(TeleopCfg):
         domain_of(self.ros_domain)
 
     def build(self, deadman: float, simulated: bool) -> Teleop:
-        """The topic, and the keyboard if there is a terminal; a real robot needs one."""
+        """Subscribe to the topic, with the keyboard of the terminal, which a real robot needs."""
         from renet.deploy.ros2 import Ros2Teleop, domain_of
 
         domain = domain_of(self.ros_domain)
+        # A simulated robot can hurt nobody, and may run without a terminal.
         attended = not simulated or (sys.stdin is not None and sys.stdin.isatty())
         keys = KeyboardTeleop(math.inf) if attended else None
         return Ros2Teleop(

@@ -23,13 +23,14 @@ from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, PilotMode, Unseen
 
 ENTRY_POINTS = "renet.robots"
-"""Group of entry points: modules of other packages, which add to the tables of `catalogue`."""
+"""Group of entry points: modules of other packages, which add robots, cameras and operators to the
+tables of `catalogue`."""
 SHORT_RUN = 15.0
-"""Seconds of a run that nobody steers."""
+"""Length of a run that nobody steers, s."""
 DEADMAN = 5.0
-"""Seconds that a real robot goes on without a sign of its operator."""
+"""Time for which a real robot goes on without a sign of its operator, s."""
 LIMP = 10.0
-"""rad; farther than any joint can be from the default pose."""
+"""Stand-up error that no joint can have, rad; with it, a dry run does not check for any."""
 
 NoPrefix = tyro.conf.arg(name="")
 
@@ -86,6 +87,7 @@ class DeployCfg:
     """Options of the operator's device; its defaults by default."""
 
     def __post_init__(self) -> None:
+        # A device of which only the name is given has its default options.
         if type(self.driver) is DriverCfg:
             demand_name("robot", self.robot, ROBOTS)
             object.__setattr__(self, "driver", ROBOTS[self.robot]())
@@ -99,14 +101,15 @@ class DeployCfg:
 
     @staticmethod
     def defaults(arguments: list[str]) -> "DeployCfg":
-        """The defaults of the robot, camera and operator that a command line asks for.
+        """Return the defaults of the robot, camera and operator that a command line names.
 
         They decide which options the rest of the command line may hold.
         """
         for entry in entry_points(group=ENTRY_POINTS):
             try:
                 entry.load()
-            except Exception as error:  # Of a package that this run may not need.
+            # This run may not need the package that fails.
+            except Exception as error:
                 print(f"renet: cannot use {entry.value}: {error}", file=sys.stderr)
         parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
         for name in ("robot", "camera", "teleop"):
@@ -116,12 +119,12 @@ class DeployCfg:
 
     @property
     def faults(self) -> list[Injection]:
-        """The faults of the camera; raises RenetError for one that cannot be read."""
+        """Faults of the camera; raises RenetError for one that cannot be read."""
         return [parse_fault(text) for text in self.fault]
 
     @property
     def live(self) -> bool:
-        """Whether the robot's clock is the wall's."""
+        """True if the robot's clock is the wall's."""
         return self.driver.live or self.teleop != "auto"
 
     @property
@@ -137,25 +140,29 @@ class DeployCfg:
             return self.deadman
         if self.operator.silence is not None:
             return self.operator.silence
+        # A simulated robot can hurt nobody.
         return math.inf if self.driver.simulated else DEADMAN
 
     @property
     def limits(self) -> SafetyCfg:
-        """Limits of the controller: the joints of a dry run follow nobody."""
+        """Limits of the controller; in a dry run no joint moves, and so none is checked."""
         if not self.dry_run:
             return self.safety
         return replace(self.safety, max_stand_up_error=LIMP, least_torque=0.0)
 
     def load_bundle(self) -> Bundle:
-        """The bundle that is asked for, by default the robot's own.
+        """Load the bundle that is asked for, by default the robot's own.
 
-        Raises RenetError with all that cannot work, before anything moves or is written.
+        Raises:
+            RenetError: A setting or the bundle cannot work. One error names them all, before
+                anything moves or is written.
         """
         problems = [*self.problems()]
         bundle = None
         with collected(problems):
             bundle = Bundle.load(self.bundle or self.driver.bundle)
-            drives, name = self.driver.drives, bundle.manifest.robot.name
+            drives = self.driver.drives
+            name = bundle.manifest.robot.name
             if drives is not None and name != drives.name:
                 raise RenetError(
                     f"the bundle drives a {name}, --robot {self.robot} is a {drives.name}"
@@ -165,11 +172,11 @@ class DeployCfg:
         return bundle
 
     def check(self) -> None:
-        """Raise RenetError with all that cannot work, whatever the bundle."""
+        """Raise RenetError with all settings that cannot work with any bundle."""
         demand_none(self.problems())
 
     def problems(self) -> list[str]:
-        """What cannot work, a line for each."""
+        """List the settings that cannot work, a line for each."""
         found = [*self._mistakes()]
         with collected(found):
             if self.faults and type(self.lens) is CameraCfg:
@@ -180,7 +187,7 @@ class DeployCfg:
         return found
 
     def _mistakes(self) -> Iterator[str]:
-        """Settings that cannot work by themselves."""
+        """Yield a line for each setting out of range or that does not go with another."""
         if not self.length > 0:
             yield f"--seconds must be positive, got {self.seconds}"
         if not self.operator_timeout > 0:
@@ -196,12 +203,21 @@ class DeployCfg:
                 yield "a real robot needs --teleop keyboard, joystick or ros2, or --dry-run"
 
     def header(self, bundle: Bundle) -> dict[str, Any]:
-        """What the recording of a bundle's run says of it, as JSON values."""
-        options = (vars(self.driver) | vars(self.lens) | vars(self.operator)).items()
+        """Describe a run of a bundle for its recording, as JSON values."""
+        devices = vars(self.driver) | vars(self.lens) | vars(self.operator)
+        options = {}
+        for name, value in devices.items():
+            options[name] = value if isinstance(value, int | float | None) else str(value)
         selector = bundle.manifest.selector
-        calibrated = selector.thresholds.get("reconstruction", selector.beta)
+        # The paper's switch knows one threshold; the other modes use those of the calibration.
+        if self.mode == "switch":
+            beta = selector.beta
+            thresholds = {"reconstruction": selector.beta}
+        else:
+            beta = selector.thresholds.get("reconstruction", selector.beta)
+            thresholds = selector.used_thresholds
         return {
-            **{k: v if isinstance(v, int | float | None) else str(v) for k, v in options},
+            **options,
             "safety": asdict(self.limits),
             "mode": self.mode,
             "unseen": self.unseen,
@@ -215,10 +231,6 @@ class DeployCfg:
             "bundle": bundle.name,
             "bundle_sha256": bundle.sha256,
             "models": bundle.manifest.sha256,
-            "thresholds": (
-                {"reconstruction": selector.beta}
-                if self.mode == "switch"
-                else selector.used_thresholds
-            ),
-            "beta": selector.beta if self.mode == "switch" else calibrated,
+            "thresholds": thresholds,
+            "beta": beta,
         }

@@ -1,4 +1,4 @@
-"""The steps with which a run begins; a dry run tells each, and how long it took."""
+"""Steps with which a run begins; a dry run prints each of them with its time."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,36 +12,39 @@ from renet.errors import RenetError, demand_none
 from renet.interface import CONTROL_DT
 
 WATCHED = 1.0
-"""Seconds in which a robot's readings are counted."""
+"""Time for which a robot's readings are counted, s."""
 FEWEST = 50.0
-"""Readings a second with which each control step has one of its own."""
+"""Fewest readings a second: each control step needs one of its own."""
 RUNS = 50
-"""Runs of the models that are timed."""
+"""Number of runs in which models are timed."""
 
 
 class Checklist:
-    """Steps, each of which is told with its time; a failure is kept, and the next step follows.
+    """Steps that are printed with their times; failures are kept until the end.
 
-    Without `patience` nothing is told, and the first failure ends the run.
+    Without `patience`, nothing is printed, and the first failure ends the run.
     """
 
     def __init__(self, say: Callable[[str], None], patience: bool) -> None:
-        """Begin a list; `say` tells the user a line."""
-        self._say, self.patience = say, patience
+        """Begin a list; `say` prints a line for the user."""
+        self._say = say
+        self.patience = patience
         self.failures: list[str] = []
         """A line for each step that failed."""
 
     @contextmanager
     def step(self, name: str) -> Iterator[list[str]]:
-        """One step; what is put into the list that it gives is told with it.
+        """Run a block as one step; remarks in the list that it yields are printed with it.
 
-        Raises RenetError as the step does, unless there is patience.
+        Raises:
+            RenetError: The step failed, and there is no patience.
         """
         begun = time.monotonic()
         remarks: list[str] = []
         try:
             yield remarks
         except RenetError as error:
+            # A dry run goes on, so that the user sees all failures at once.
             if not self.patience:
                 raise
             self.failures.append(f"{name}: {error}")
@@ -50,7 +53,7 @@ class Checklist:
             self._tell("ok", begun, name, remarks)
 
     def passed(self, name: str, begun: float) -> None:
-        """Tell a step that began at a time of the monotonic clock and has gone well."""
+        """Print a step that succeeded; it began at the time `begun` of the monotonic clock, s."""
         self._tell("ok", begun, name, [])
 
     def _tell(self, mark: str, begun: float, name: str, remarks: Sequence[str]) -> None:
@@ -64,10 +67,12 @@ class Checklist:
 
 
 def count_readings(robot: RobotDriver) -> str:
-    """What a robot sends in a second, in words; raises RenetError for too little."""
-    times, newest = set(), None
+    """Count a robot's readings for a second, and say how many; raises RenetError for too few."""
+    times = set()
+    newest = None
     begun = robot.now()
     while robot.now() - begun < WATCHED:
+        # Four looks in each control step; of a faster robot, 200 readings a second are counted.
         robot.wait(robot.now() + CONTROL_DT / 4)
         newest = robot.read() or newest
         if newest is not None:
@@ -84,15 +89,16 @@ def count_readings(robot: RobotDriver) -> str:
 
 
 def time_models(bundle: Bundle) -> str:
-    """How long a bundle's models take on this computer, in words; raises RenetError if too long."""
-    inputs = {
-        name: {
-            node.name: np.zeros([n if isinstance(n, int) else 1 for n in node.shape], np.float32)
-            for node in session.get_inputs()
-        }
-        for name, session in bundle.sessions.items()
-    }
-    outputs = {name: sorted(bundle.outputs(name)) for name in bundle.sessions}
+    """Time a bundle's models on this computer, and say it; raises RenetError if too slow."""
+    inputs: dict[str, dict[str, np.ndarray]] = {}
+    outputs = {}
+    for name, session in bundle.sessions.items():
+        inputs[name] = {}
+        for node in session.get_inputs():
+            # The batch axis has a name instead of a size.
+            shape = [size if isinstance(size, int) else 1 for size in node.shape]
+            inputs[name][node.name] = np.zeros(shape, np.float32)
+        outputs[name] = sorted(bundle.outputs(name))
     took = []
     for _ in range(RUNS):
         begun = time.perf_counter()

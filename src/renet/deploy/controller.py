@@ -1,7 +1,8 @@
-"""The onboard controller: robot state and depth frames in, joint commands out, whatever comes.
+"""Onboard controller: robot state and depth frames in, joint commands out.
 
 `Controller.tick` is the whole 50 Hz program without threads, clocks or devices, so that the same
-inputs give the same commands on a robot, in a simulator and in a replay. It never raises.
+inputs give the same commands on a robot, in a simulator and in a replay. It never raises, whatever
+its inputs are.
 """
 
 from collections.abc import Callable
@@ -31,9 +32,11 @@ from renet.pilot.tick import Sessions
 from renet.selector.selector import REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
+"""Reason of a tick that runs blind."""
 CONDUCTS = {"walk": "it walks on", "slow": "it slows down", "stop": "it stops"}
+"""Conduct at the end of the ground that was seen, in words, by `interface.Unseen`."""
 A_WHILE = 0.25
-"""Seconds without an image from which an event tells of it: one late frame is no news."""
+"""Seconds without an image after which an event tells of it; one late frame is no news."""
 
 
 @dataclass(frozen=True)
@@ -51,40 +54,40 @@ class Event:
 
 @dataclass(frozen=True)
 class Decision:
-    """What one tick decided, for logs and displays."""
+    """Decision of one tick, for logs and displays."""
 
     command: JointCommand
     mode: Mode
     vision: bool
-    """The VP estimator's latent drove this step."""
+    """True if the VP estimator's latent drove this step."""
     has_image: bool
-    """VP's newest tick had an image; without, it goes on from memory."""
+    """True if VP's newest tick had an image; otherwise it goes on from memory."""
     map_error: float
-    """Error of its height map ahead that VP expects, m; zero from models that predict none."""
+    """VP's own estimate of its height map's error ahead, m; zero from models that predict none."""
     probability: float
     """Vision probability P_t after this step."""
     anomaly: float
-    """Loss_ad of the newest images."""
+    """Reconstruction loss of the newest images, the paper's Loss_ad."""
     variance: float
-    """Their error over its predicted variance; zero from models that predict none."""
+    """Error of the newest images over its predicted variance; zero where none is predicted."""
     frame_age: float
     """Seconds since the newest good frame was taken."""
     action: np.ndarray
     """[12] policy units; zero unless walking."""
     latent: np.ndarray
-    """[64] the latent that drove this step."""
+    """[64] latent that drove this step."""
     asked: Velocity
-    """What the operator asks for, within limits; zero unless walking."""
+    """The operator's velocity within limits; zero unless walking."""
     told: np.ndarray
-    """[3] where the policy was told to go, see `interface.TOLD`; zero unless walking."""
+    """[3] command of the policy, see `interface.TOLD`; zero unless walking."""
     velocity_op: np.ndarray
-    """[3] m/s, base frame."""
+    """[3] velocity that OP estimates, m/s, base frame."""
     velocity_vp: np.ndarray
-    """[3] m/s, base frame."""
+    """[3] velocity that VP estimates, m/s, base frame."""
     inferred: bool
-    """The result of a vision tick was taken over in this step."""
+    """True if this step took over the result of a vision tick."""
     fallback: bool
-    """The vision tick ran blind and in line because its thread was late or dead."""
+    """True if the vision tick ran blind and in this thread, because its own was late or dead."""
 
 
 class Controller:
@@ -102,15 +105,17 @@ class Controller:
         """Set up in DAMPING.
 
         Args:
-            bundle: loaded.
-            safety: limits.
-            inference: makes what runs vision ticks: in line by default, which is deterministic.
-            mode: of the pilot, see `interface.PilotMode`.
-            on_event: told every transition with its reason.
-            unseen: what a robot that remembers does at the end of the ground that it has seen.
+            bundle: Policy, robot and camera.
+            safety: Limits.
+            inference: Maker of the object that runs vision ticks. The default runs them in this
+                thread, which is deterministic.
+            mode: Mode of the pilot, see `interface.PilotMode`.
+            on_event: Function that is called with every transition.
+            unseen: Conduct of a robot that remembers at the end of the ground that it has seen.
         """
         self.robot = bundle.manifest.robot
         self.cfg = safety
+        # Before the robot moves, for it would have to wait for the models.
         _warm_up(bundle)
         self.policy = BundlePolicy(bundle, inference=inference)
         self.pilot = Pilot.of(bundle, mode=mode, policy=self.policy, unseen=unseen)
@@ -119,7 +124,8 @@ class Controller:
         self._buffer = FrameBuffer()
         self._on_event = on_event
         self._watch = BodyWatch(self.robot, safety)
-        self._start = self._target = np.array(self.robot.default_position)
+        self._start = np.array(self.robot.default_position)
+        self._target = self._start
         self._steering = STEERINGS[bundle.manifest.told]()
         self._start_over()
         self.decision: Decision
@@ -128,16 +134,22 @@ class Controller:
     def tick(
         self, state: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
     ) -> JointCommand:
-        """One control step, every 0.02 s; `now` is in seconds on the robot's clock.
+        """Do one control step; call it every 0.02 s.
 
-        `state` is the newest reading, None if there is none; `frame` the camera's newest, the same
-        as before if no other came, None without a camera. Returns a command within all limits,
-        which only brakes if anything at all is wrong.
+        Args:
+            state: Newest reading; None if there is none.
+            frame: Newest depth frame, the same as before if no other came; None without a camera.
+            teleop: The operator's command.
+            now: Time on the robot's clock, s.
+
+        Returns:
+            A command within all limits, which only brakes if anything is wrong.
         """
         mode = self.machine.mode
         try:
             command = self._tick(state, frame, teleop, now)
-        except Exception as error:  # Whatever it is, a robot must be left braked.
+        # Whatever fails, the robot must be left braked.
+        except Exception as error:
             self.machine.trip(f"{type(error).__name__}: {error}", now)
             command = self._decide(damping_command(self.robot, self.cfg), now)
         if self.machine.mode is not mode:
@@ -145,7 +157,7 @@ class Controller:
         return command
 
     def trip(self, reason: str, now: float) -> None:
-        """Go to DAMPING from outside; the next tick only brakes."""
+        """Go to DAMPING at the caller's wish, so that the next tick only brakes."""
         if self.machine.mode is not Mode.DAMPING:
             self.machine.trip(reason, now)
             self.tell(now, Mode.DAMPING, reason)
@@ -157,6 +169,7 @@ class Controller:
     def _tick(
         self, raw: RobotState | None, frame: DepthFrame | None, teleop: TeleopCommand, now: float
     ) -> JointCommand:
+        """Do one control step; raises what the pilot and the steering raise."""
         before = self.machine.mode
         self._watch.offer(raw, now)
         self._buffer.offer(frame, now)
@@ -171,7 +184,8 @@ class Controller:
             return self._walk(state, teleop, now)
         if mode is Mode.STANDING_UP and state is not None:
             if before is not Mode.STANDING_UP:
-                self._start = self._target = state.joint_position
+                self._start = state.joint_position
+                self._target = state.joint_position
                 self._leg_test = LegTest(self.robot, self.cfg.leg_test_seconds, state)
             command = self._limited(self._rise(state, now), state, self.cfg.target_rate)
         else:
@@ -179,7 +193,7 @@ class Controller:
         return self._decide(command, now)
 
     def _rise(self, state: RobotState, now: float) -> np.ndarray:
-        """Joint targets [12] rad of a robot that tests its legs, then stands up."""
+        """Return the joint targets [12], rad, of a robot that tests its legs and then stands up."""
         elapsed = now - self.machine.since
         standing = elapsed - self.cfg.leg_test_seconds
         if standing < 0.0:
@@ -187,9 +201,11 @@ class Controller:
         return stand_up_target(self._start, self.robot, standing / self.cfg.stand_up_seconds)
 
     def _problem(self, teleop: TeleopCommand, now: float) -> str:
+        """Return the first reason to brake; empty if there is none."""
         if problem := teleop_problem(teleop):
             return problem
-        problem, newest = self._watch.problem(now), self._watch.newest
+        problem = self._watch.problem(now)
+        newest = self._watch.newest
         if not problem and self.machine.mode is Mode.STANDING_UP:
             problem = self._leg_test.problem
         if not problem and newest is not None and self.machine.stood_up(now):
@@ -197,7 +213,7 @@ class Controller:
         return problem
 
     def _start_over(self) -> None:
-        """Start walking as training starts an episode."""
+        """Forget the last walk, and start as training starts an episode."""
         self.pilot.reset()
         self._action = np.zeros(ACTION_SIZE)
         self._asked = Velocity()
@@ -207,7 +223,9 @@ class Controller:
         self._unseen = False
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
+        """Let the pilot decide a step of a walk; raises RenetError if it is not finite."""
         self._told = self._steer(teleop, state, now)
+        # The pilot drives a batch of robots: here it is one.
         observation = observe(state, self.robot, self._told, self._action)[None]
         step = self.pilot.step(observation, self._buffer.take(now), now)
         if step.fallback:
@@ -218,6 +236,7 @@ class Controller:
         if not all_finite(action):
             raise RenetError("the policy's action is not finite")
         self._action = action
+        # Targets may move only slowly at first, so that the walk begins without a jerk.
         rate = rate_after(now - self.machine.since, self.cfg)
         command = self._limited(step.joint_target[0], state, rate)
         self._tell_state(step, now)
@@ -227,18 +246,18 @@ class Controller:
     def _steer(
         self, teleop: TeleopCommand, state: RobotState, now: float
     ) -> tuple[float, float, float]:
-        """Where the policy is told to go; what it cannot do is refused once a walk."""
+        """Return the policy's command; tells once a walk if a part of the wish is refused."""
         steering = self._steering
         self._asked = limited_velocity(teleop)
         told = steering.command(self._asked, heading(state.quaternion))
-        # Not each time anew: a stick that is pushed ahead always strays to the sides.
+        # Only once a walk: a stick that is pushed ahead always strays to the sides.
         if steering.refused and not self._refused:
             self._refused = True
             self.tell(now, "refused", steering.refused)
         return told
 
     def _tell_state(self, step: Step, now: float) -> None:
-        """Tell whether the robot sees, remembers or is blind from now on, if that has changed."""
+        """Tell that the robot now sees, remembers or is blind, if that has changed."""
         state = str(step.state[0])
         briefly = state == REMEMBERS and self.pilot.without_image[0] < A_WHILE
         if state == self._state or briefly:
@@ -252,16 +271,17 @@ class Controller:
         """Tell once when the robot comes to the end of the ground that it has seen."""
         if unseen and not self._unseen:
             self.tell(now, "unseen", f"the ground ahead was never seen: {CONDUCTS[self._conduct]}")
-        # Not again before it has seen, as at every turn of an operator who looks for a way.
+        # Not again before it has seen: an operator who looks for a way turns the robot often.
         self._unseen = unseen or (self._unseen and self._state != SEES)
 
     def _limited(self, target: np.ndarray, state: RobotState, rate: float) -> JointCommand:
+        """Return the command for joint targets [12], rad, that move by at most `rate`, rad/s."""
         command = limited_command(target, self._target, state, self.robot, rate)
         self._target = command.position
         return command
 
     def _decide(self, command: JointCommand, now: float, step: Step | None = None) -> JointCommand:
-        """Keep what this tick decided, by a step of the pilot if it walks; returns its command."""
+        """Keep the tick's decision, with the pilot's step if it walks; returns the command."""
         policy = self.policy
         walking = self.machine.mode is Mode.WALKING
         vision = step is not None and bool(step.vision[0])
@@ -291,12 +311,13 @@ class Controller:
 
     def tell(self, now: float, what: str, why: str) -> None:
         """Tell the listener; see `Event`."""
-        with suppress(Exception):  # A full disk must not brake a robot.
+        # A recorder whose disk is full must not brake a robot.
+        with suppress(Exception):
             self._on_event(Event(now, str(what), why))
 
 
 def _warm_up(bundle: Bundle) -> None:
-    """Run all models once: their first run, many times slower, is not to be while it walks."""
+    """Run all models once: their first run takes many times longer than the others."""
     observation = np.zeros((1, PROPRIOCEPTION_SIZE))
     image = np.zeros((1, *DEPTH_SHAPE))
     Pilot.of(bundle).step(observation, image, now=0.0)

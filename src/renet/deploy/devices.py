@@ -1,4 +1,4 @@
-"""Robot, camera and operator of one run, made from its settings and started."""
+"""Robot, camera and operator of one run: made from its settings, started and closed."""
 
 import math
 import threading
@@ -19,10 +19,10 @@ from renet.deploy.robots.real.lock import claim
 from renet.deploy.teleop import ScriptedTeleop, Teleop
 from renet.errors import RenetError
 
-CLOSING = 5.0
-"""Seconds that a device may take to be closed; a robot that sinks takes three."""
-FIRST_IMAGE = 2.0
-"""Seconds in which a real camera's first image is waited for."""
+CLOSE_TIMEOUT = 5.0
+"""Time that a device may take to be closed, s; a robot that sinks takes 3 s."""
+_FIRST_IMAGE = 2.0
+"""Time that a real camera may take for its first image, s."""
 
 
 def start_devices(
@@ -32,20 +32,29 @@ def start_devices(
     stack: ExitStack,
     checklist: Checklist,
 ) -> tuple[RobotDriver, Camera | None, Teleop]:
-    """Make and start the robot, the camera (None without one) and the operator of one run.
+    """Make and start robot, camera and operator of one run.
 
-    `stack` closes them, the robot first, also after half a start; `say` tells the user a line. The
-    `checklist` of a dry run holds all that a run needs.
+    Args:
+        cfg: Settings of the run.
+        bundle: Bundle that will drive the robot.
+        say: Function that prints a line for the user.
+        stack: Stack that closes the devices, the robot first, also if the start fails halfway.
+        checklist: Steps of the start, which a dry run prints.
+
+    Returns:
+        The robot, the camera (None without one) and the operator's device.
 
     Raises:
-        RenetError: a bundle for another robot or beyond this one's limits, a missing package or
-            file, a robot that another program drives, or a device that does not answer.
+        RenetError: The bundle is for another robot or beyond this one's limits, a package or file
+            is missing, another program drives the robot, or a device does not answer.
     """
     robot = make_robot(cfg, bundle)
-    if not (cfg.driver.simulated or isinstance(robot, RealRobot)):  # Its sender holds a lock.
+    # The sender process of a `RealRobot` holds a lock of its own.
+    if not (cfg.driver.simulated or isinstance(robot, RealRobot)):
         stack.enter_context(claim(f"{cfg.robot} {cfg.driver.address}".rstrip()))
     camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
     teleop = make_teleop(cfg)
+    # The stack closes in reverse: the robot first.
     for device in (teleop, camera, robot):
         stack.callback(close_device, device, say)
     with checklist.step(f"{cfg.robot} answers"):
@@ -55,7 +64,8 @@ def start_devices(
     if camera is not None:
         with checklist.step("the camera sends images"):
             _start_camera(camera, cfg.driver.simulated, checklist.patience)
-        if cfg.fault:  # Onsets count from its first look, hence from the run's first step.
+        # Onsets of faults count from the first look, hence from the run's first step.
+        if cfg.fault:
             camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed)
     if checklist.patience:
         _check_pace(robot, bundle, cfg.driver.simulated, checklist)
@@ -65,8 +75,8 @@ def start_devices(
 
 
 def close_device(device: Any, say: Callable[[str], None]) -> None:
-    """Close a device, if it can be: one that fails or hangs costs neither score nor program."""
-    problem = [f"does not close within {CLOSING:g} s"]
+    """Close a device if it can be closed; one that fails or hangs is told, and left behind."""
+    problem = [f"does not close within {CLOSE_TIMEOUT:g} s"]
 
     def close() -> None:
         try:
@@ -78,42 +88,43 @@ def close_device(device: Any, say: Callable[[str], None]) -> None:
 
     thread = threading.Thread(target=close, daemon=True)
     thread.start()
-    thread.join(CLOSING)
+    thread.join(CLOSE_TIMEOUT)
     if problem:
         say(f"{type(device).__name__} {problem[0]}")
 
 
 def _check_pace(robot: RobotDriver, bundle: Bundle, simulated: bool, checklist: Checklist) -> None:
-    """Whether models and readings keep up with the control loop."""
+    """Check that models and readings keep up with the control loop, as steps of the checklist."""
     with checklist.step("the models are quick enough") as remarks:
         remarks.append(time_models(bundle))
-    # One that does not answer sends nothing.
+    # A robot that did not answer sends no readings to count.
     if not (simulated or checklist.failures):
         with checklist.step("the robot's readings come in time") as remarks:
             remarks.append(count_readings(robot))
 
 
 def _start_camera(camera: Camera, simulated: bool, demanded: bool) -> None:
-    """Start a camera and wait a little for a real one's first image.
+    """Start a camera, and wait for the first image of a real one.
 
-    Raises RenetError for one that fails, or whose image is `demanded` and does not come: a run
-    begins without.
+    Raises:
+        RenetError: The camera fails, or no image comes although it is `demanded`. Otherwise a run
+            begins without an image.
     """
     camera.start()
     if simulated:
         return
-    for _ in range(round(FIRST_IMAGE / 0.01)):
+    for _ in range(round(_FIRST_IMAGE / 0.01)):
         if camera.latest() is not None:
             return
         time.sleep(0.01)
     if demanded:
         raise RenetError(
-            f"no image within {FIRST_IMAGE:g} s: check the cable, a USB 3 one, and its plugs"
+            f"no image within {_FIRST_IMAGE:g} s: check the cable, a USB 3 one, and its plugs"
         )
 
 
 def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
-    """The robot, not connected yet; raises RenetError for a bundle that it cannot take."""
+    """Make the robot, without connecting it; raises RenetError for a bundle that it cannot take."""
     spec = bundle.manifest.robot
     robot = cfg.driver.build(spec, cfg.live, cfg.seed, cfg.dry_run)
     demand_within(robot.description, spec)
@@ -121,7 +132,7 @@ def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
 
 
 def make_teleop(cfg: DeployCfg) -> Teleop:
-    """The operator's device."""
+    """Open the operator's device, and print how to steer with it."""
     if cfg.teleop == "auto":
         return ScriptedTeleop(cfg.speed)
     teleop = cfg.operator.build(cfg.operator_timeout, cfg.driver.simulated)

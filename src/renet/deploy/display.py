@@ -1,4 +1,4 @@
-"""The line below all others that tells an operator what is asked for and what the robot does."""
+"""Status line of the terminal: the velocity that is asked for beside the robot's own."""
 
 import math
 from collections.abc import Callable
@@ -11,35 +11,36 @@ from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import Velocity
 from renet.interface import CONTROL_DT
 
-STEPS = 10
-"""Control steps between two lines: 0.2 s."""
-SMOOTHING = 0.5
-"""Time constant of the velocity that is shown, s; a gait's own swing is faster."""
+SHOW_EVERY = 10
+"""Number of control steps from one line to the next, 0.2 s."""
+_SMOOTHING = 0.5
+"""Time constant of the low-pass filter of the robot's velocity, s; a gait swings faster."""
 
 
 class VelocityDisplay:
-    """Shows the velocity asked for beside the one that is walked."""
+    """Shows the velocity that is asked for beside the one with which the robot walks."""
 
     def __init__(self, show: Callable[[str], None]) -> None:
-        """Show each line with a function."""
+        """Show lines by calling `show`."""
         self._show = show
         self._walked = np.zeros(3)
         self._steps = 0
 
     def step(self, decision: Decision, state: RobotState | None) -> None:
-        """Take one control step's decision and the reading before it."""
+        """Update with one control step's decision and the reading before it."""
         walking = decision.mode is Mode.WALKING
         self._walked = self._smoothed(decision, state) if walking else np.zeros(3)
-        if self._steps % STEPS == 0:
+        if self._steps % SHOW_EVERY == 0:
             self._show(self._line(decision) if walking else str(decision.mode))
         self._steps += 1
 
     def _smoothed(self, decision: Decision, state: RobotState | None) -> np.ndarray:
-        """Velocity of the estimator that drives, and the gyroscope's turn rate."""
+        """Filter velocity [3]: that of the estimator that drives, and the gyroscope's turn rate."""
         estimate = decision.velocity_vp if decision.vision else decision.velocity_op
         turn_rate = self._walked[2] if state is None else state.angular_velocity[2]
         newest = np.array([estimate[0], estimate[1], turn_rate], float)
-        share = 1.0 - math.exp(-CONTROL_DT / SMOOTHING)
+        # First-order low-pass filter.
+        share = 1.0 - math.exp(-CONTROL_DT / _SMOOTHING)
         smoothed = self._walked + share * (newest - self._walked)
         return np.where(np.isfinite(smoothed), smoothed, 0.0)
 

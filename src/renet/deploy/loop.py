@@ -1,7 +1,7 @@
 """The 50 Hz loop around the controller: read, decide, write, record, wait.
 
-Whatever a device does, the loop goes on: a robot that cannot be read is damped by the controller,
-a camera that fails costs vision. However the loop ends, its last commands brake.
+The loop goes on whatever a device does: the controller brakes a robot that cannot be read, and
+walks blind if the camera fails. However the loop ends, its last commands brake.
 """
 
 import math
@@ -24,9 +24,9 @@ from renet.deploy.watch.power import PowerWatch
 from renet.interface import CONTROL_DT
 
 BRAKING = 25
-"""Control steps of braking with which every run ends (0.5 s)."""
+"""Number of braking control steps at the end of every run, 0.5 s."""
 ATTEMPTS = 5
-"""Braking commands tried where the loop itself failed."""
+"""Number of attempts to brake after the loop itself failed."""
 
 
 def run_control_loop(
@@ -40,23 +40,34 @@ def run_control_loop(
     on_step: Callable[[JointCommand, RobotState | None], None] = lambda command, state: None,
     dry_run: bool = False,
 ) -> None:
-    """Drive a connected robot, with a started camera if there is one, until `done`; then brake.
+    """Drive a robot until `done`, then brake.
 
-    `done` is asked at every control step; `on_step` is told every command and the reading before
-    it. A dry run never writes to the robot.
+    Args:
+        robot: Connected robot.
+        camera: Started camera; None without one.
+        teleop: The operator's device.
+        controller: Controller in DAMPING.
+        recorder: Recorder of the run; None without one.
+        done: Function that is asked at every control step if the run is over.
+        on_step: Function that is called with every command and the reading before it.
+        dry_run: Never write to the robot.
 
     Raises:
-        RenetError: the bundle asks for more than the robot takes. Whatever `done` or the robot's
-            `wait` raise, and KeyboardInterrupt, pass after the robot was told to brake.
+        RenetError: The bundle asks for more than the robot takes. Exceptions of `done` and of the
+            robot's `wait`, and KeyboardInterrupt, are raised again after the robot was told to
+            brake.
     """
     demand_within(robot.description, controller.robot)
     loop = _Loop(robot, camera, teleop, controller, recorder, dry_run)
-    due, braking = robot.now(), 0
+    due = robot.now()
+    braking = 0
     try:
         while braking < BRAKING:
+            # Once the run is over, count the steps of its end.
             braking += braking > 0 or done()
             command, state = loop.step(robot.now(), ending=braking > 0)
-            with suppress(Exception):  # A closed terminal must not end a run.
+            # A closed terminal must not end a run.
+            with suppress(Exception):
                 on_step(command, state)
             due = next_step(robot, due)
     except BaseException:
@@ -66,7 +77,7 @@ def run_control_loop(
 
 
 def brake(robot: RobotDriver, controller: Controller) -> None:
-    """Tell a robot to brake, whatever failed before."""
+    """Tell a robot to brake, and try again if that fails."""
     command = damping_command(controller.robot, controller.cfg)
     for _ in range(ATTEMPTS):
         with suppress(Exception):
@@ -76,7 +87,7 @@ def brake(robot: RobotDriver, controller: Controller) -> None:
 
 @dataclass
 class _Loop:
-    """One run: its devices, and what each of them last had to say."""
+    """One run: its devices, and the last problem of each."""
 
     robot: RobotDriver
     camera: Camera | None
@@ -91,7 +102,7 @@ class _Loop:
         self._power = PowerWatch(self.controller.cfg)
 
     def step(self, now: float, ending: bool) -> tuple[JointCommand, RobotState | None]:
-        """One control step; returns what was commanded and what was read before."""
+        """Do one control step; returns the command and the reading before it."""
         controller = self.controller
         if ending:
             controller.trip(ENDED, now)
@@ -99,7 +110,8 @@ class _Loop:
         frame = None if self.camera is None else self._ask("camera", self._look, None)
         wish = self._ask("teleop", lambda: self._listen(now), TeleopCommand(stop=True))
         if ending:
-            wish = TeleopCommand(stop=True)  # Also so that a replay of the recording brakes here.
+            # The recording must say it, so that its replay brakes here, too.
+            wish = TeleopCommand(stop=True)
         wish = self._checked(wish, state, frame, now)
         begun = time.perf_counter()
         command = controller.tick(state, frame, wish, now)
@@ -108,20 +120,24 @@ class _Loop:
             self._write(command, state, now)
             self._look_at_power(state, now)
         if self.recorder is not None:
-            with suppress(Exception):  # Out of memory, for one: walk on without the recording.
-                where = getattr(self.robot, "base_position", None)  # Simulated robots know.
+            # Walk on without the recording if it fails, for example for want of memory.
+            with suppress(Exception):
+                # Only a simulated robot knows where it is.
+                where = getattr(self.robot, "base_position", None)
                 decision = controller.decision
                 self.recorder.append(state, frame, wish, now, decision, compute_ms, where)
             self._complain("recorder", self.recorder.problem)
         return command, state
 
     def _look(self) -> DepthFrame | None:
+        """Return the camera's newest frame; a damped robot's camera may open itself anew."""
         self.camera.busy = self.controller.machine.mode is not Mode.DAMPING
         frame = self.camera.latest()
         self._complain("camera", getattr(self.camera, "problem", ""))
         return frame
 
     def _listen(self, now: float) -> TeleopCommand:
+        """Return the operator's newest command."""
         wish = self.teleop.command(now)
         self._complain("teleop", getattr(self.teleop, "problem", ""))
         return wish
@@ -129,9 +145,10 @@ class _Loop:
     def _checked(
         self, wish: TeleopCommand, state: RobotState | None, frame: DepthFrame | None, now: float
     ) -> TeleopCommand:
-        """The operator's command, without a wish to stand up that the pre-arm check refuses.
+        """Return the operator's command, without a wish to stand up that the pre-arm check refuses.
 
-        A refused button must be released first: nothing arms by itself once the check passes.
+        After a refusal the button must be released first: nothing arms by itself once the check
+        passes.
         """
         arming = getattr(wish, "arm", False) and self.controller.machine.mode is Mode.DAMPING
         if not arming:
@@ -139,8 +156,8 @@ class _Loop:
             return wish
         if not self._refused and not self.dry_run:
             recording = "" if self.recorder is None else self.recorder.problem
-            camera, cfg = self.camera is not None, self.controller.cfg
-            given = (state, wish, frame, camera, recording, cfg, now)
+            has_camera = self.camera is not None
+            given = (state, wish, frame, has_camera, recording, self.controller.cfg, now)
             problem = self._ask("arming", lambda: pre_arm_problem(*given), "a device says nonsense")
             self._refused = bool(problem)
             if problem:
@@ -148,22 +165,24 @@ class _Loop:
         return TeleopCommand() if self._refused else wish
 
     def _write(self, command: JointCommand, state: RobotState | None, now: float) -> None:
+        """Command the robot, within its own limits; a refusal brakes."""
         try:
-            if self.robot.now() - now > self.controller.cfg.max_gap:  # Its reading is as old.
+            # After a step that took too long, the command's reading is too old to obey.
+            if self.robot.now() - now > self.controller.cfg.max_gap:
                 command = damping_command(self.controller.robot, self.controller.cfg)
             self.robot.write(clamp(self.robot.description, command, state))
         except Exception as error:
             self.controller.trip(f"{REFUSED}: {error}", now)
 
     def _look_at_power(self, state: RobotState | None, now: float) -> None:
-        """Say that battery or motors are near their limits, and lie down before they fail."""
+        """Warn of a battery or motors near their limits, and brake before they fail."""
         self._power.look(state)
         self._complain("power", self._power.warning)
         if self._power.end:
             self.controller.trip(f"{EXHAUSTED}: {self._power.end}", now)
 
     def _ask(self, device: str, question: Callable[[], Any], otherwise: Any) -> Any:
-        """A device's answer; one that fails says nothing, an operator's that fails says stop."""
+        """Return a device's answer, or `otherwise` if the device fails, which is told."""
         try:
             return question()
         except Exception as error:
@@ -171,16 +190,16 @@ class _Loop:
             return otherwise
 
     def _complain(self, device: str, why: str) -> None:
-        """Tell what a device has to say when it says something else than before."""
+        """Tell a device's problem if it is another one than before."""
         if why and self._problems.get(device) != why:
             self.controller.tell(self.robot.now(), device, why)
         self._problems[device] = why
 
 
 def next_step(robot: RobotDriver, due: float) -> float:
-    """Wait for the control step after the one that was due at `due`; returns when that is due.
+    """Wait for the control step after the one that was due at `due`, s; returns its due time, s.
 
-    A step that is missed is left out: two in quick succession help no robot.
+    Missed steps are left out: two steps in quick succession help no robot.
     """
     due += CONTROL_DT * (math.floor((robot.now() - due) / CONTROL_DT + 0.1) + 1)
     robot.wait(due)

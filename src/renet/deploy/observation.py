@@ -8,18 +8,20 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState, projected_gravity
 from renet.interface import PROPRIOCEPTION
 
-SCALES = np.concatenate([np.full(term.size, term.scale) for term in PROPRIOCEPTION])
+_SCALES = np.concatenate([np.full(term.size, term.scale) for term in PROPRIOCEPTION])
+"""Scales of the numbers of o_t, [45]."""
 
 
 def observe(
     state: RobotState, robot: RobotSpec, command: Sequence[float], last_action: np.ndarray
 ) -> np.ndarray:
-    """One robot's o_t, [45] float32.
+    """Return one robot's o_t, [45] float32.
 
     Args:
-        state: sensors. robot: whose default pose positions are measured from.
-        command: [3] where the policy is told to go, in the form of its `interface.TOLD`.
-        last_action: [12] policy units, as clipped before it was carried out.
+        state: Reading of its sensors.
+        robot: Robot of the bundle, from whose default pose positions are measured.
+        command: Command of the policy, [3], see `interface.TOLD`.
+        last_action: Last action, [12] policy units, clipped as it was carried out.
     """
     terms = {
         "base_angular_velocity": state.angular_velocity,
@@ -29,4 +31,5 @@ def observe(
         "joint_velocity": state.joint_velocity,
         "last_action": last_action,
     }
-    return (SCALES * np.concatenate([terms[t.name] for t in PROPRIOCEPTION])).astype(np.float32)
+    values = np.concatenate([terms[term.name] for term in PROPRIOCEPTION])
+    return (_SCALES * values).astype(np.float32)

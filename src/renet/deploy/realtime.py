@@ -1,4 +1,4 @@
-"""What the operating system can do for a control loop, where it allows it."""
+"""Real-time help of the operating system for a control loop, where it is allowed."""
 
 import ctypes
 import gc
@@ -8,40 +8,45 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-LOCK_ALL = 3
-"""MCL_CURRENT | MCL_FUTURE of Linux."""
-BELOW = 10
-"""By how much the priority of other threads is lower than the control loop's."""
-SWITCH_INTERVAL = 0.0005
-"""Seconds after which a thread that computes in Python hands the interpreter over; 5 ms if nobody
-sets it, a quarter of a control step."""
+_LOCK_ALL = 3
+"""Linux' MCL_CURRENT | MCL_FUTURE."""
+_BELOW = 10
+"""Priority of the control loop above that of the other threads."""
+_SWITCH_INTERVAL = 0.0005
+"""Time after which a thread that computes in Python hands the interpreter over, s. Python's own
+value, 5 ms, is a quarter of a control step."""
 
 
 @contextmanager
 def realtime(priority: int) -> Iterator[str]:
     """Run a block on this thread with real-time priority, locked memory and no garbage collector.
 
-    This thread, and threads it starts, get the priority of SCHED_FIFO, 1 to 99, and all other
-    threads of Python a lower one: this thread waits for whichever holds the interpreter's lock, and
-    so for whatever program had pushed that one aside. Yields in one line what the system refused,
-    empty if it granted all; the collector always stops.
+    This thread, and threads that it starts, get the SCHED_FIFO priority `priority`, 1 to 99. Other
+    threads of Python get a lower one: this thread waits for the one that holds the interpreter's
+    lock, and without priority that one may wait for any other program.
+
+    Yields:
+        A line that says what the system refused; empty if it granted all. The collector always
+        stops.
     """
     refused = []
     before = _scheduling()
     this = threading.get_native_id()
     try:
-        lower = os.SCHED_FIFO, max(priority - BELOW, 1)
-        _schedule({**dict.fromkeys(before, lower), this: (os.SCHED_FIFO, priority)})
+        threads = dict.fromkeys(before, (os.SCHED_FIFO, max(priority - _BELOW, 1)))
+        threads[this] = (os.SCHED_FIFO, priority)
+        _schedule(threads)
     except OSError as error:
         refused.append(f"real-time priority ({error.strerror})")
-    if ctypes.CDLL(None, use_errno=True).mlockall(LOCK_ALL):
+    if ctypes.CDLL(None, use_errno=True).mlockall(_LOCK_ALL):
         refused.append(f"locked memory ({os.strerror(ctypes.get_errno())})")
+    # Objects of the start are never garbage: frozen, they cost the collector nothing afterwards.
     collecting = gc.isenabled()
     gc.collect()
     gc.freeze()
     gc.disable()
     interval = sys.getswitchinterval()
-    sys.setswitchinterval(SWITCH_INTERVAL)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         yield f"the system refused {' and '.join(refused)}" if refused else ""
     finally:
@@ -54,10 +59,11 @@ def realtime(priority: int) -> Iterator[str]:
 
 
 def _scheduling() -> dict[int, tuple[int, int]]:
-    """Policy and priority of every thread of Python, by the system's number of the thread."""
+    """Return policy and priority of each of Python's threads, by the system's number of it."""
     found = {}
     for thread in threading.enumerate():
-        with suppress(ProcessLookupError):  # It has just ended.
+        # A thread may have just ended.
+        with suppress(ProcessLookupError):
             if thread.native_id is not None:
                 found[thread.native_id] = _scheduling_of(thread.native_id)
     return found
@@ -68,7 +74,7 @@ def _scheduling_of(thread: int) -> tuple[int, int]:
 
 
 def _schedule(threads: dict[int, tuple[int, int]]) -> None:
-    """Give threads a policy and a priority; raises OSError if the system refuses."""
+    """Give threads their policies and priorities; raises OSError if the system refuses."""
     for thread, (policy, priority) in threads.items():
         with suppress(ProcessLookupError):
             if _scheduling_of(thread) != (policy, priority):

@@ -18,31 +18,32 @@ from renet.errors import RenetError
 
 Twist = message_type("Twist_", TWIST, "geometry_msgs.msg.dds_")
 TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-"""Names of ROS 2's topics, without those that ROS itself would expand."""
+"""Pattern of topic names of ROS 2, without names that ROS itself would expand."""
 LAST_DOMAIN = 232
-"""Highest DDS domain whose ports exist."""
+"""Highest DDS domain, as the ports of higher ones do not exist."""
 COUNT_EVERY = 1.0
-"""Seconds between two counts of the publishers."""
+"""Time from one count of the publishers to the next, s."""
 
 
 def domain_of(given: int | None) -> int:
-    """DDS domain to join: the given one, or ROS 2's own choice, the variable ROS_DOMAIN_ID.
+    """Return the DDS domain to join: the given one, or that of the variable ROS_DOMAIN_ID.
 
     Raises:
-        RenetError: it is no number from 0 to 232.
+        RenetError: It is no number from 0 to 232.
     """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     source = "ROS_DOMAIN_ID" if given is None else "--ros-domain"
     value = text if given is None else str(given)
+    # `isdigit` alone accepts the digits of other scripts, too.
     if not (value.isascii() and value.isdigit() and int(value) <= LAST_DOMAIN):
         raise RenetError(f"{source} must be from 0 to {LAST_DOMAIN}, got {value}")
     return int(value)
 
 
 class Ros2Teleop:
-    """Walks as the newest message on a topic says, and stands once there is none any more.
+    """Takes velocities from the newest message on a topic; without messages, the robot stands.
 
-    A message carries no wish to stand up or to stop: those are the keyboard's.
+    A message carries no wish to stand up or to stop; those come from the keyboard.
     """
 
     def __init__(
@@ -57,14 +58,15 @@ class Ros2Teleop:
         """Subscribe to a topic of a DDS domain.
 
         Args:
-            topic: ROS 2's name of it, such as cmd_vel.
-            interface: network card to listen at; empty: Cyclone DDS chooses, as it does for ROS 2.
-            silence: seconds without a message after which the robot stands.
-            keys: keyboard that arms, stops and quits, if there is one.
-            rises: whether the robot is armed at once.
+            topic: Name of the topic in ROS 2, such as cmd_vel.
+            domain: DDS domain.
+            interface: Network card; if empty, Cyclone DDS chooses, as it does for ROS 2.
+            silence: Time without a message after which the robot stands, s.
+            keys: Keyboard that arms, stops and quits; None without one.
+            rises: Arm the robot at once.
 
         Raises:
-            RenetError: no such interface, or DDS that fails.
+            RenetError: There is no such interface, or DDS fails.
         """
         self._topic = topic
         self._reader = Network(interface, domain).reader(f"rt/{topic.removeprefix('/')}", Twist)
@@ -80,27 +82,27 @@ class Ros2Teleop:
         ends = "r stand up and walk, space stop, q quit" if keys else "Ctrl-C quits"
         self.controls = f"velocities of {topic} in domain {domain}, {ends}"
         self.problem = ""
-        """What the operator is to know; empty if all is well."""
+        """Problem that the operator is to be told; empty if there is none."""
 
     @property
     def quit(self) -> bool:
-        """Whether the run is to end."""
+        """True if the run is to end."""
         return getattr(self._keys, "quit", False)
 
     def command(self, now: float) -> TeleopCommand:
-        """The newest velocity, with the keyboard's wishes to arm and to stop."""
+        """Return the newest velocity, with the keyboard's wishes to arm and to stop."""
         self._listen(now)
         velocity = self._velocity if now - self._heard <= self._silence else Velocity()
         self.problem = self._find_problem(now)
         keys = TeleopCommand() if self._keys is None else self._keys.command(now)
         if self._rises:
-            # Without a velocity, with which arming would be refused.
+            # Arming is refused to an operator who asks for a velocity.
             self._rises = False
             return TeleopCommand(arm=True, stop=keys.stop)
         return replace(keys, **velocity._asdict())
 
     def drain(self, now: float) -> None:
-        """Forget the keys and messages that came before a run."""
+        """Forget keys and messages from before the run."""
         self._reader.take(1)
         if self._keys is not None:
             self._keys.drain(now)
@@ -110,20 +112,23 @@ class Ros2Teleop:
         getattr(self._keys, "close", lambda: None)()
 
     def _listen(self, now: float) -> None:
-        """Take the newest message over, if one came; one that is malformed is none."""
+        """Take over the newest message, if one came and its numbers are finite."""
         for sample in self._reader.take(1):
-            values = getattr(sample, "values", None)  # Absent where a publisher has left.
+            # Absent when a publisher has left, and None if the payload is of another type.
+            values = getattr(sample, "values", None)
             if values is None:
                 continue
             self._malformed = not np.isfinite(sample.raw.view("<f8")).all()
             if not self._malformed:
-                linear, angular = values["linear"], values["angular"]
                 self._velocity = Velocity(
-                    float(linear["x"]), float(linear["y"]), float(angular["z"])
+                    forward=float(values["linear"]["x"]),
+                    left=float(values["linear"]["y"]),
+                    turn_rate=float(values["angular"]["z"]),
                 )
                 self._heard = now
 
     def _find_problem(self, now: float) -> str:
+        """Return the topic's problem in a line; empty if there is none."""
         if now - self._counted >= COUNT_EVERY:
             self._counted = now
             self._publishers = len(self._reader.get_matched_publications())

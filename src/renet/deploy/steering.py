@@ -1,7 +1,6 @@
-"""Where a policy is told to go, from the velocity that an operator asks for.
+"""Commands of policies from the velocity that an operator asks for.
 
-Policies are told a velocity of their base, or a speed and the angle to a heading
-(`interface.TOLD`).
+A policy is told the velocity of its base, or a speed and the angle to a heading (`interface.TOLD`).
 """
 
 import math
@@ -11,26 +10,27 @@ from renet.deploy.teleop import Velocity
 from renet.interface import CONTROL_DT, MAX_TURN, TURN_GAIN, Told
 
 MAX_LEAD = math.pi / 2
-"""rad; farthest that the wished heading is from the robot's, as in training."""
+"""Largest angle from the robot's heading to the wished one, rad, as in training."""
 FORWARD_ONLY = "this policy cannot walk backward or sideways"
+"""Reason of a refusal."""
 
 
 class Steering(Protocol):
     """Turns velocities into a policy's commands, one at each control step of a walk."""
 
     refused: str
-    """Why a part of the last velocity was left out; empty if none was."""
+    """Reason for which a part of the last velocity was left out; empty if none was."""
 
     def start(self, heading: float) -> None:
-        """Begin a walk in the direction in which the robot looks, rad."""
+        """Begin a walk at the robot's heading, rad."""
 
     def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
-        """Command for a velocity within limits, while the robot looks towards `heading`, rad."""
+        """Return the policy's command for a velocity within limits and the robot's heading, rad."""
         ...
 
 
 class HeadingSteering:
-    """For policies that are told (c_x, sin e, cos e), e the angle to the wished heading."""
+    """Steering of policies that are told (c_x, sin e, cos e), e the angle to the wished heading."""
 
     def __init__(self) -> None:
         self.refused = ""
@@ -41,7 +41,7 @@ class HeadingSteering:
         self._wished = heading
 
     def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
-        """(c_x, sin e, cos e); such policies only walk ahead."""
+        """Return (c_x, sin e, cos e), c_x in m/s; such policies only walk ahead."""
         backward_or_sideways = velocity.forward < 0.0 or velocity.left != 0.0
         self.refused = FORWARD_ONLY if backward_or_sideways else ""
         error = _lead(self._wished + CONTROL_DT * velocity.turn_rate, heading)
@@ -50,17 +50,17 @@ class HeadingSteering:
 
 
 class TwistSteering:
-    """For policies that are told the velocity itself; it keeps the heading on straight ways.
+    """Steering of policies that are told the velocity itself; it keeps the heading.
 
-    A policy that is told not to turn still drifts by some hundredths of a radian a second, and
-    nobody corrects that from a keyboard. So once the operator's turn has ended, the heading of that
-    moment is kept, with the feedback by which training tells goals. Hence without a dead band: the
-    policy knows small turn rates, a walking robot's wobble averages out, and a band would leave the
-    robot off by as much as its width. What it swings on after a turn, it turns back.
+    A policy that is told not to turn still drifts by some hundredths of a radian a second, which
+    nobody corrects from a keyboard. So when the operator's turn ends, the heading of that moment is
+    kept, with the feedback by which training leads robots to their goals. There is no dead band: it
+    would leave the robot off by its width, the policy knows small turn rates, and the wobble of a
+    walk averages out. If the robot swings on after a turn, it turns back.
 
-    A robot that stands is not corrected: training never tells one to turn a little on the spot, and
-    noise or the drift of its attitude would make it step for ever. It walks on towards where it
-    looks then, and so does one that was turned by hand.
+    A standing robot is not corrected: training never tells one to turn a little on the spot, and
+    noise or the drift of its attitude would make it step for ever. Its next walk keeps the heading
+    that it has then, even if it was turned by hand.
     """
 
     def __init__(self) -> None:
@@ -72,9 +72,10 @@ class TwistSteering:
         self._kept = heading
 
     def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
-        """(v_x, v_y, omega_z)."""
+        """Return (v_x, v_y, omega_z), m/s and rad/s."""
         forward, left, turn_rate = velocity
         stands = forward == 0.0 and left == 0.0
+        # While the operator turns or the robot stands, nothing is corrected.
         if turn_rate != 0.0 or stands:
             self._kept = heading
             return forward, left, turn_rate
@@ -87,9 +88,10 @@ STEERINGS: dict[Told, type[HeadingSteering] | type[TwistSteering]] = {
     "heading": HeadingSteering,
     "twist": TwistSteering,
 }
+"""Steering of each form of command."""
 
 
 def _lead(wished: float, heading: float) -> float:
-    """Angle from a heading to the wished one, rad; a robot that cannot follow lags no farther."""
+    """Angle from a heading to the wished one, rad, at most `MAX_LEAD` either way."""
     lead = math.remainder(wished - heading, math.tau)
     return min(max(lead, -MAX_LEAD), MAX_LEAD)

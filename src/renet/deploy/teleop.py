@@ -15,18 +15,18 @@ from renet.errors import RenetError
 from renet.interface import MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN
 
 SPEED_STEP = 0.1
-"""m/s that a key adds to a speed."""
+"""Change of a speed by one key, m/s."""
 TURN_STEP = 0.2
-"""rad/s that a key adds to the turn rate."""
+"""Change of the turn rate by one key, rad/s."""
 DEAD_ZONE = 0.1
-"""Share of its range that a stick must leave its middle to steer, and move to show that somebody
-holds it: noise is smaller."""
+"""Share of its range by which a stick must be off its middle to steer, and by which it must move to
+show that somebody holds it. Noise is smaller."""
 FADE = 1.0
-"""Seconds in which the velocity falls to zero when nobody steers any more."""
+"""Time in which the velocity falls to zero when nobody steers any more, s."""
 
 
 class Velocity(NamedTuple):
-    """Velocity of the base in its own frame, as ROS's `Twist` names it: x ahead, y left, z up."""
+    """Velocity of the base in its own frame: x ahead, y left, z up, as in ROS's `Twist`."""
 
     forward: float = 0.0
     """m/s; negative: backward."""
@@ -38,43 +38,44 @@ class Velocity(NamedTuple):
 
 @dataclass(frozen=True)
 class TeleopCommand:
-    """What the operator asks for at one control step."""
+    """The operator's command at one control step."""
 
     forward: float = 0.0
     """As in `Velocity`; not limited yet."""
     left: float = 0.0
     turn_rate: float = 0.0
     arm: bool = False
-    """Leave damping: stand up and walk."""
+    """Leave damping, stand up and walk."""
     stop: bool = False
-    """Go to damping at once; wins over everything else."""
+    """Go to damping at once, whatever else is asked for."""
 
 
 class Teleop(Protocol):
-    """A source of commands that never makes its caller wait.
+    """Source of commands that never makes its caller wait.
 
-    One whose `problem` changes has it told to the operator; one whose `quit` is true ends the run.
+    It may have an attribute `problem`, which is told to the operator when it changes, and an
+    attribute `quit`, which ends the run when it is true.
     """
 
     controls: str
-    """How to steer, in one line."""
+    """Instructions for the operator, in one line."""
     attended: bool
-    """Whether somebody can arm the robot again once it is braked."""
+    """True if somebody can arm the robot again once it is braked."""
 
     def command(self, now: float) -> TeleopCommand:
-        """The newest command at a time in seconds on the robot's clock."""
+        """Return the newest command at the time `now` on the robot's clock, s."""
         ...
 
     def drain(self, now: float) -> None:
-        """Forget what was asked for before a run begins."""
+        """Forget what was asked for before the run."""
 
 
 @dataclass(frozen=True)
 class TeleopCfg:
-    """An operator's device that `renet deploy --teleop NAME` listens to; its fields are options."""
+    """Operator's device of `renet deploy --teleop NAME`; its fields are options of the command."""
 
     silence: ClassVar[float | None] = None
-    """Seconds without a sign of the operator after which the robot stands; None: it depends on the
+    """Time without a sign of the operator after which the robot stands, s; None leaves it to the
     robot."""
 
     def check(self) -> None:
@@ -84,18 +85,18 @@ class TeleopCfg:
         """Open the device.
 
         Args:
-            deadman: seconds without a sign of the operator after which the robot stands.
-            simulated: whether the robot is; nobody can be hurt by it.
+            deadman: Time without a sign of the operator after which the robot stands, s.
+            simulated: The robot is simulated, and can hurt nobody.
 
         Raises:
-            RenetError: the device is missing or cannot steer.
+            RenetError: The device is missing or cannot steer.
         """
         raise NotImplementedError
 
 
 @dataclass
 class ScriptedTeleop:
-    """Arms at once and walks straight ahead."""
+    """Script that arms at once and walks straight ahead at `speed`, m/s."""
 
     speed: float
     controls: str = "walks straight ahead"
@@ -103,27 +104,29 @@ class ScriptedTeleop:
     _armed: bool = False
 
     def command(self, now: float) -> TeleopCommand:
-        """To arm at the first call, the speed from then on."""
-        arm, self._armed = not self._armed, True
-        return TeleopCommand(arm=True) if arm else TeleopCommand(forward=self.speed)
+        """Return a wish to arm at the first call, and the speed from then on."""
+        if not self._armed:
+            self._armed = True
+            return TeleopCommand(arm=True)
+        return TeleopCommand(forward=self.speed)
 
     def drain(self, now: float) -> None:
-        """Nothing is asked for before."""
+        """Do nothing: nothing was asked for before."""
 
 
 @dataclass
 class Deadman:
-    """Takes the velocity away when an operator gives no sign for too long.
+    """Fades the velocity when an operator gives no sign for too long.
 
-    A gamepad out of range or a broken link sends nothing: it cannot be told from a still hand.
+    A gamepad out of range sends nothing, as a gamepad in a still hand does.
     """
 
     timeout: float
-    """Seconds of silence after which nobody steers."""
+    """Time of silence after which nobody steers, s."""
     _heard: float | None = None
 
     def authority(self, heard: bool, now: float) -> float:
-        """Share of the velocity that counts: 1, and 0 once `timeout` + `FADE` s were silent."""
+        """Return the share of the velocity that counts: 1, and 0 after `timeout` + `FADE` s."""
         if heard or self._heard is None:
             self._heard = now
         silent = now - self._heard - self.timeout
@@ -131,33 +134,35 @@ class Deadman:
 
 
 @dataclass(frozen=True)
-class Axis:
-    """One component of the velocity, which keys change in steps."""
+class _Component:
+    """Component of the velocity, m/s or rad/s, which keys change in steps."""
 
     step: float
     least: float
     greatest: float
 
     def value(self, steps: int) -> float:
-        """Velocity after so many steps; exactly zero after none."""
+        """Return the velocity after a number of steps; exactly zero after none."""
         return self.step * steps
 
     def limited(self, steps: int) -> int:
-        """Steps within the range of commands."""
+        """Return the nearest number of steps whose velocity is in the range of commands."""
         return min(max(steps, round(self.least / self.step)), round(self.greatest / self.step))
 
 
-AXES = (
-    Axis(SPEED_STEP, -MAX_REVERSE, MAX_SPEED),
-    Axis(SPEED_STEP, -MAX_SIDEWAYS, MAX_SIDEWAYS),
-    Axis(TURN_STEP, -MAX_TURN, MAX_TURN),
+_COMPONENTS = (
+    _Component(SPEED_STEP, -MAX_REVERSE, MAX_SPEED),
+    _Component(SPEED_STEP, -MAX_SIDEWAYS, MAX_SIDEWAYS),
+    _Component(TURN_STEP, -MAX_TURN, MAX_TURN),
 )
-"""Those of `Velocity`, in its order."""
+"""Components of `Velocity`, in its order."""
 KEYS = {"w": (0, 1), "s": (0, -1), "j": (1, 1), "l": (1, -1), "a": (2, 1), "d": (2, -1)}
-"""Component that a key changes, and by how many steps. q is to quit, and z is elsewhere on a German
-keyboard; j and l are at the same place on English, German and French ones."""
+"""Component that a key changes, and the number of steps. Beside a and d, q is for quitting and z is
+elsewhere on a German keyboard; j and l are in the same place on English, German and French ones."""
 STAND_KEY = "x"
+"""Key that sets the velocity to zero."""
 ARM_KEY = "r"
+"""Key that arms the robot."""
 
 
 class KeyboardTeleop:
@@ -170,15 +175,17 @@ class KeyboardTeleop:
     attended = True
 
     def __init__(self, deadman: float) -> None:
-        """Take over standard input; raises RenetError if that is no terminal.
+        """Take over standard input; raises RenetError if it is no terminal.
 
         The robot stands after `deadman` seconds without any key.
         """
+        # Standard input is None where it is closed.
         try:
             self._descriptor = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._descriptor)
+            # Keys arrive at once and without an echo, and Ctrl-C still works.
             tty.setcbreak(self._descriptor)
-        except (termios.error, OSError, ValueError, AttributeError) as error:  # None: closed.
+        except (termios.error, OSError, ValueError, AttributeError) as error:
             raise RenetError(
                 "the operator's keys need a terminal: run renet in one, or take --teleop joystick"
             ) from error
@@ -188,17 +195,18 @@ class KeyboardTeleop:
         self.quit = False
 
     def command(self, now: float) -> TeleopCommand:
-        """All keys pressed since the last call; a stop among them wins."""
+        """Return the command of all keys since the last call; a stop among them wins."""
         keys = b""
         if select.select([self._descriptor], [], [], 0.0)[0]:
             keys = os.read(self._descriptor, MAX_INPUT)
-            self.quit |= not keys or b"q" in keys  # No keys: the terminal is gone.
+            # A terminal that is ready without keys is gone.
+            self.quit |= not keys or b"q" in keys
         arm = False
         for key in map(chr, keys):
             if key in KEYS:
                 component, steps = KEYS[key]
                 wished = self._steps[component] + steps
-                self._steps[component] = AXES[component].limited(wished)
+                self._steps[component] = _COMPONENTS[component].limited(wished)
             if key in (STAND_KEY, ARM_KEY):
                 self._steps = [0, 0, 0]
             if key == ARM_KEY:
@@ -209,16 +217,19 @@ class KeyboardTeleop:
         authority = self._deadman.authority(bool(keys), now)
         if authority == 0.0:
             self._steps = [0, 0, 0]
-        velocity = [authority * axis.value(n) for axis, n in zip(AXES, self._steps, strict=True)]
+        velocity = []
+        for component, steps in zip(_COMPONENTS, self._steps, strict=True):
+            velocity.append(authority * component.value(steps))
         return TeleopCommand(*velocity, arm=arm, stop=b" " in keys or self.quit)
 
     def drain(self, now: float) -> None:
-        """Forget the keys that were pressed, except a wish to quit."""
+        """Forget the keys that were pressed, except for a wish to quit."""
         self.command(now)
 
     def close(self) -> None:
         """Give the terminal back."""
-        with suppress(termios.error):  # A terminal that is lost has nothing to be given back.
+        # A terminal that is lost cannot be given back.
+        with suppress(termios.error):
             termios.tcsetattr(self._descriptor, termios.TCSADRAIN, self._before)
 
 
@@ -229,8 +240,11 @@ class GamepadTeleop:
         "left stick forward/backward and sideways, right stick turns, Start or Options stands up "
         "and walks, A, B, cross or circle stops"
     )
-    FORWARD, LEFT, TURN = "ABS_Y", "ABS_X", "ABS_RX"
-    ARM_BUTTONS, STOP_BUTTONS = ("BTN_START",), ("BTN_SOUTH", "BTN_EAST")
+    FORWARD = "ABS_Y"
+    LEFT = "ABS_X"
+    TURN = "ABS_RX"
+    ARM_BUTTONS = ("BTN_START",)
+    STOP_BUTTONS = ("BTN_SOUTH", "BTN_EAST")
     attended = True
 
     def __init__(self, deadman: float) -> None:
@@ -245,11 +259,11 @@ class GamepadTeleop:
         self._deadman = Deadman(deadman)
 
     def command(self, now: float) -> TeleopCommand:
-        """Where the sticks are; an unplugged gamepad stops the robot."""
+        """Return the command of sticks and buttons; an unplugged gamepad stops the robot."""
         arm = stop = heard = False
         try:
             for event in self._pad.events():
-                # The kernel repeats the state of all after its queue ran over: no sign of a hand.
+                # After an overflow of its queue, the kernel repeats all states without a hand.
                 by_hand = not event.repeated
                 if event.name in self._sticks:
                     heard |= self._moved(event.name, event.value) and by_hand
@@ -261,7 +275,7 @@ class GamepadTeleop:
         except OSError:
             stop = True
         authority = self._deadman.authority(heard, now)
-        # Sticks count to the right and towards the operator.
+        # The kernel counts sticks positive to the right and towards the operator.
         ahead = -self._stick(self.FORWARD)
         return TeleopCommand(
             forward=authority * ahead * (MAX_SPEED if ahead > 0.0 else MAX_REVERSE),
@@ -272,7 +286,7 @@ class GamepadTeleop:
         )
 
     def drain(self, now: float) -> None:
-        """Forget the buttons that were pressed; learn where the sticks are."""
+        """Forget the buttons that were pressed, and learn where the sticks are."""
         self.command(now)
 
     def close(self) -> None:
@@ -280,7 +294,7 @@ class GamepadTeleop:
         self._pad.close()
 
     def _moved(self, name: str, value: float) -> bool:
-        """Note where a stick is; returns whether it moved since it last did."""
+        """Note where a stick is; returns True if it moved since the last time that it did."""
         self._sticks[name] = value
         moved = abs(value - self._held[name]) >= DEAD_ZONE
         if moved:
@@ -288,5 +302,6 @@ class GamepadTeleop:
         return moved
 
     def _stick(self, name: str) -> float:
+        """Position of a stick, -1 to 1, with a dead zone."""
         value = self._sticks[name]
         return value if abs(value) > DEAD_ZONE else 0.0

@@ -12,7 +12,7 @@ from pathlib import Path
 import tyro
 
 from renet.bundle import MANIFEST, SHIPPED, Bundle, pretrained
-from renet.bundle.models import MAX_MODEL, MODELS
+from renet.bundle.models import MAX_MODEL_BYTES, MODELS
 from renet.errors import RenetError
 from renet.files import MEGABYTE, read_bytes, read_object
 from renet.folders import demand_own, write_folder
@@ -115,7 +115,7 @@ def _contents(bundles: Sequence[Bundle], runtime: Path) -> dict[str, bytes]:
         entry["folder"], look = f"bundles/{number}", look_name(entry["robot"])
         entry["look"] = look if look in contents else None
         for name in (MANIFEST, *(f"{model}.onnx" for model in MODELS)):
-            file = read_bytes(bundle.path / name, MAX_MODEL, "bundle's file")
+            file = read_bytes(bundle.path / name, MAX_MODEL_BYTES, "bundle's file")
             contents[f"{entry['folder']}/{name}"] = file
     mark["sizes"] = {name: len(data) for name, data in contents.items()}
     digests = {name: sha256(data).hexdigest() for name, data in contents.items()}

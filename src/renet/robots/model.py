@@ -62,6 +62,7 @@ def load_model(robot: Robot) -> mujoco.MjSpec:
 def simulation_model(robot: Robot) -> mujoco.MjSpec:
     """Load a robot's model with ideal servos and physics options, and without visual meshes."""
     spec = load_model(robot)
+    # What remains is what touches the ground, and what the viewer shows.
     for geom in list(spec.geoms):
         if not geom.contype and not geom.conaffinity:
             spec.delete(geom)

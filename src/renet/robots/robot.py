@@ -14,7 +14,7 @@ from renet.errors import RenetError
 from renet.interface import JOINTS, MAP_HEIGHT
 from renet.motors import KINDS, joint_kind
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,11 @@ class Robot:
         return np.array([self.motor(joint).velocity for joint in JOINTS])
 
 
-def _joint_values(name: str, values: Mapping[str, T]) -> list[T]:
+def _joint_values(name: str, values: Mapping[str, _T]) -> list[_T]:
     """List the value of each joint; raises RenetError unless each has exactly one."""
     found = []
     for joint in JOINTS:
+        # A joint that two patterns match would depend on their order.
         matches = [value for pattern, value in values.items() if re.fullmatch(pattern, joint)]
         if len(matches) != 1:
             raise RenetError(f"{name} must have one value for {joint}, it has {len(matches)}")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from renet.deploy.robots.go2.fake import FakeGo2
-from renet.deploy.robots.go2.link import COMMANDS, MOTORS, Go2Link
+from renet.deploy.robots.go2.link import COMMAND_TOPIC, LEG_MOTORS, Go2Link
 from renet.deploy.robots.go2.messages import LowCmd
 from renet.deploy.robots.real.braking import PERIOD
 
@@ -27,7 +27,7 @@ class Peer(peer.Peer, FakeGo2):
     def __init__(self) -> None:
         peer.Peer.__init__(self)
         FakeGo2.__init__(self, free_domain())
-        self._commands = self.network.reader(COMMANDS, LowCmd, depth=10_000)
+        self._commands = self.network.reader(COMMAND_TOPIC, LowCmd, depth=10_000)
         self.driver = "renet.deploy.robots.go2.driver:go2_robot", ("lo", free_domain())
         self.slow = 0
         """Steps by which MotionSwitcher's answers are late."""
@@ -47,7 +47,7 @@ class Peer(peer.Peer, FakeGo2):
         accepted = self.accepted
         super().receive(sample)
         if self.accepted > accepted:
-            motors = sample.values["motor_cmd"][MOTORS]
+            motors = sample.values["motor_cmd"][LEG_MOTORS]
             self.commands.append(np.stack([motors[part].astype(float) for part in PARTS], axis=1))
             self.arrivals.append(sample.sample_info.source_timestamp)
 

@@ -10,10 +10,10 @@ from renet.interface import ACTION_SIZE
 
 @dataclass(frozen=True)
 class RobotState:
-    """One reading of a robot's sensors. Drivers report what they got: the controller checks it."""
+    """Reading of a robot's sensors, as the driver got it: checks are the controller's."""
 
     time: float
-    """Seconds on the robot's clock (`RobotDriver.now`) at which it was measured."""
+    """Time of the measurement on the robot's clock (`RobotDriver.now`), s."""
     joint_position: np.ndarray
     """[12] rad"""
     joint_velocity: np.ndarray
@@ -21,7 +21,7 @@ class RobotState:
     joint_torque: np.ndarray
     """[12] N m, estimated by the motors."""
     quaternion: np.ndarray
-    """[4] base to world, (w, x, y, z)."""
+    """[4] rotation from base to world, (w, x, y, z)."""
     angular_velocity: np.ndarray
     """[3] rad/s, base frame."""
     temperature: np.ndarray | float = math.nan
@@ -29,9 +29,9 @@ class RobotState:
     battery: float = math.nan
     """Charge left, 0 to 1; NaN if the robot does not say."""
     voltage: float = math.nan
-    """Voltage of the battery, V; likewise."""
+    """Voltage of the battery, V; NaN if the robot does not say."""
     fault: str = ""
-    """What the robot says is wrong with itself, such as a motor that obeys no more; else empty."""
+    """Fault that the robot itself reports, such as a motor that no longer obeys; empty if none."""
 
 
 VECTORS = {
@@ -41,7 +41,7 @@ VECTORS = {
     "quaternion": 4,
     "angular_velocity": 3,
 }
-"""Arrays of a reading, and how many numbers each has."""
+"""Arrays of a reading, with the number of their elements."""
 
 
 @dataclass(frozen=True)
@@ -57,18 +57,19 @@ class JointCommand:
 
 
 def all_finite(values: np.ndarray) -> bool:
-    """Whether a few numbers are finite: for a dozen this is three times as fast as NumPy."""
+    """Return True if all numbers are finite; for a dozen numbers three times as fast as NumPy."""
     return all(map(math.isfinite, values.tolist()))
 
 
 def projected_gravity(quaternion: np.ndarray) -> tuple[float, float, float]:
-    """Unit vector of gravity in the base frame, from base-to-world (w, x, y, z)."""
+    """Return the unit vector of gravity in the base frame, from base-to-world (w, x, y, z)."""
+    # A quaternion of zeros has no direction: NaN, which the controller's checks find.
     w, x, y, z = quaternion.tolist()
     double = 2.0 / (w * w + x * x + y * y + z * z or math.nan)
     return double * (w * y - x * z), -double * (y * z + w * x), double * (x * x + y * y) - 1.0
 
 
 def heading(quaternion: np.ndarray) -> float:
-    """Yaw of the base, rad: direction of its x axis seen from above."""
+    """Return the yaw of the base, rad: the direction of its x axis seen from above."""
     w, x, y, z = quaternion.tolist()
     return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -10,7 +10,7 @@ from renet.robots import Robot
 
 
 def demand_within(robot: Robot, policy: RobotSpec) -> None:
-    """Raise RenetError naming joint and number unless a bundle stays within a robot's limits."""
+    """Raise RenetError with joint and number unless a bundle stays within a robot's limits."""
     limits = (
         ("stiffness", "N m/rad", 0.0, robot.max_stiffness),
         ("damping", "N m s/rad", 0.0, robot.max_damping),
@@ -21,6 +21,7 @@ def demand_within(robot: Robot, policy: RobotSpec) -> None:
     )
     for field, unit, least, most in limits:
         values = np.asarray(getattr(policy, field))
+        # Bundles may have rounded a limit.
         outside = (values < np.asarray(least) - 1e-6) | (values > np.asarray(most) + 1e-6)
         if outside.any():
             joint = int(outside.argmax())

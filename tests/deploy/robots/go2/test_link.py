@@ -14,10 +14,10 @@ from cyclonedds.core import DDSException
 from renet.deploy.robots.go2.fake import SPORT, FakeGo2
 from renet.deploy.robots.go2.integrity import MOST_DAMAGED
 from renet.deploy.robots.go2.link import (
-    COMMANDS,
-    HOLD,
+    COMMAND_TOPIC,
+    HOLD_STIFFNESS,
     LISTEN,
-    QUIET,
+    QUIET_TIME,
     RELEASE,
     SETTLES,
     SEVERAL,
@@ -37,7 +37,7 @@ from ..peer import VENDOR
 
 def stranger(head=(0xFE, 0xEF), checksum: int | None = None):
     """Another program: a participant of its own, and a function that sends a stiff command."""
-    writer = Network("lo", free_domain()).writer(COMMANDS, LowCmd)
+    writer = Network("lo", free_domain()).writer(COMMAND_TOPIC, LowCmd)
 
     def send() -> None:
         sample = LowCmd()
@@ -159,7 +159,7 @@ def test_another_program_that_ended_just_before_is_not_minded(wire):
         send()
         wire.run(1)
     assert wire.link.state is None
-    wire.run(round(QUIET / PERIOD) + 2)
+    wire.run(round(QUIET_TIME / PERIOD) + 2)
     assert wire.link.state is not None
 
 
@@ -322,7 +322,7 @@ def test_it_is_not_held_against_another_program(wire, peer):
     for _ in range(round(3.0 / PERIOD)):
         send()
         wire.run(1)
-    held = [sent for sent in peer.commands if (sent[:, 4] == HOLD).all()]
+    held = [sent for sent in peer.commands if (sent[:, 4] == HOLD_STIFFNESS).all()]
     assert peer.mode == ""
     assert len(held) * PERIOD < 2 * SETTLES
 

@@ -147,6 +147,6 @@ def test_announced_types_have_the_tables_members(name):
 
 def test_a_changed_file_of_type_bytes_is_refused(tmp_path):
     path = tmp_path / "types.json"
-    path.write_bytes(messages.TYPES.read_bytes().replace(b"A", b"B", 1))
+    path.write_bytes(messages.TYPES_FILE.read_bytes().replace(b"A", b"B", 1))
     with pytest.raises(RenetError, match=r"types.json is damaged"):
         read_types(path)

@@ -31,7 +31,7 @@ SPEAK = """
 import sys, time
 from renet.deploy.robots.go2 import network
 from renet.deploy.robots.go2.messages import LowCmd
-network.CONFIG = sys.argv[1] or network.CONFIG
+network.INTERFACE_CONFIG = sys.argv[1] or network.INTERFACE_CONFIG
 writer = network.Network("lo", int(sys.argv[2])).writer("rt/lowcmd", LowCmd)
 for _ in range(20):
     writer.write(LowCmd())

@@ -2,7 +2,7 @@
 
 import pytest
 
-from renet.deploy.robots.real.identity import CONFUSED, MOST_ODD, RESTARTED, Count, Speakers
+from renet.deploy.robots.real.identity import CONFUSED, MOST_ODD_COUNTS, RESTARTED, Count, Speakers
 
 LEAP = 100
 
@@ -44,7 +44,7 @@ def test_a_robot_that_was_started_again_is_none_to_go_on_with():
 
 
 def test_two_robots_whose_readings_take_turns_are_told():
-    pairs = [(1000 + 2 * n, 90_000 + 700 * n) for n in range(2 * MOST_ODD)]
+    pairs = [(1000 + 2 * n, 90_000 + 700 * n) for n in range(2 * MOST_ODD_COUNTS)]
     said, problem = news(*(one for pair in pairs for one in pair))
     assert problem == CONFUSED
     assert not any(said[1::2]), "the other one is never believed"

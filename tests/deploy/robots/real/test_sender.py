@@ -14,7 +14,7 @@ import pytest
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.real import sender
 from renet.deploy.robots.real.braking import BRAKE, PERIOD, Link
-from renet.deploy.robots.real.mailbox import ALIVE, COMMAND, SIZE, VALUES, mailboxes
+from renet.deploy.robots.real.mailbox import ALIVE_LAYOUT, COMMAND_LAYOUT, SIZE, VALUES, mailboxes
 from renet.errors import RenetError
 from renet.robots import GO1
 
@@ -69,8 +69,8 @@ class Controller:
 
     def say(self, command: JointCommand, late: float = 0.0) -> float:
         time = self.clock() - late
-        self.boxes[0].write(np.array((time,), ALIVE))
-        self.boxes[1].write(np.array((time, *vars(command).values()), COMMAND))
+        self.boxes[0].write(np.array((time,), ALIVE_LAYOUT))
+        self.boxes[1].write(np.array((time, *vars(command).values()), COMMAND_LAYOUT))
         return time
 
     def step(self, link: Link) -> JointCommand | None:

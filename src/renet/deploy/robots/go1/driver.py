@@ -23,13 +23,17 @@ def go1_robot(
     power_level: int = POWER_LEVEL,
     **options: float,
 ) -> RealRobot:
-    """A Go1 behind a sender process, which is not talked to yet.
+    """Make the driver of a Go1 behind a sender process, without connecting it.
 
-    Its motor board at `host` and `port` answers to `local_port`. `power_level` is that of the
-    vendor's overload guard; `options` are `timeout` and `sink` of `RealRobot`.
+    Args:
+        host: Address of the robot's motor board.
+        port: Port of the motor board.
+        local_port: Port of this computer to which the motor board answers.
+        power_level: Level of the vendor's overload guard, 1 to 10.
+        options: `timeout` and `sink` of `RealRobot`.
 
     Raises:
-        RenetError: an unknown host, or no such power level.
+        RenetError: The host is unknown, or there is no such power level.
     """
     demand_power_level(power_level)
     try:

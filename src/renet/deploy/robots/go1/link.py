@@ -20,14 +20,15 @@ from renet.interface import ACTION_SIZE
 from renet.robots import GO1
 
 LOW_LEVEL = 0xFF
-SERVO = 0x0A
+"""The vendor's number of the interface to single motors."""
+_SERVO = 0x0A
 """Motor mode that obeys position, velocity, gains and torque."""
 MOTORS = range(ACTION_SIZE)
 """The vendor numbers the motors as `interface.JOINTS`; zeros and signs are its model's."""
 
 
 def unitree() -> Any:
-    """The vendor's module, from its wheel or built by hand; raises RenetError if there is none."""
+    """Import the vendor's module, of its wheel or built by hand; raises RenetError without one."""
     problems = []
     for name in ("unitree_legged_sdk.robot_interface", "robot_interface"):
         try:
@@ -41,8 +42,9 @@ def unitree() -> Any:
 
 
 def _require_free(port: int) -> None:
-    """Raise RenetError if this computer already talks to a robot; the library would not mind."""
+    """Raise RenetError if a program here already talks to a robot; the library would not notice."""
     try:
+        # A port is free if it can be bound; the probe gives it back at once.
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("", port))
     except OSError as error:
@@ -52,14 +54,14 @@ def _require_free(port: int) -> None:
 
 
 class Go1Link(Link):
-    """The exchange with a Go1.
+    """Exchange of commands and readings with a Go1.
 
-    The vendor's driver and its overload guard can brake it for good, and so does another robot that
-    answers at the same address.
+    It is braked for good by a failure of the vendor's driver, by its overload guard, and when
+    another robot answers at the same address.
     """
 
     leap = 100_000
-    """0.1 s if the robot counts microseconds, as the vendor says."""
+    """Largest leap of the robot's count: 0.1 s, if it counts microseconds as the vendor says."""
 
     def __init__(self, host: str, port: int, local_port: int, power_level: int) -> None:
         """Open the socket; motors stay limp until the first command.
@@ -68,7 +70,7 @@ class Go1Link(Link):
         of the vendor's overload guard.
 
         Raises:
-            RenetError: no vendor's driver, or a local port that another program uses.
+            RenetError: The vendor's driver is missing, or another program uses the local port.
         """
         super().__init__(GO1)
         sdk = unitree()
@@ -76,7 +78,8 @@ class Go1Link(Link):
         self._udp = sdk.UDP(LOW_LEVEL, local_port, host, port)
         self._safety = sdk.Safety(sdk.LeggedType.Go1)
         self._level = power_level
-        self._out, self._in = sdk.LowCmd(), sdk.LowState()
+        self._out = sdk.LowCmd()
+        self._in = sdk.LowState()
         self._udp.InitCmdData(self._out)
         self._trouble = MotorTrouble()
         self._serial: tuple[int, ...] | None = None
@@ -85,11 +88,15 @@ class Go1Link(Link):
     def _send(self, command: JointCommand | None) -> None:
         for joint, motor in enumerate(MOTORS):
             servo = self._out.motorCmd[motor]
-            servo.mode = SERVO
+            servo.mode = _SERVO
             if command is None:
                 continue
-            servo.q, servo.dq, servo.tau = command.position[joint], 0.0, 0.0
-            servo.Kp, servo.Kd = command.stiffness[joint], command.damping[joint]
+            servo.q = command.position[joint]
+            servo.dq = 0.0
+            servo.tau = 0.0
+            servo.Kp = command.stiffness[joint]
+            servo.Kd = command.damping[joint]
+        # The guard judges by the newest reading, so it waits for the first.
         if self.state and self._safety.PowerProtect(self._out, self._in, self._level) < 0:
             self.problem = "the vendor's guard says that the motors draw too much power"
         self._udp.SetSend(self._out)
@@ -103,7 +110,7 @@ class Go1Link(Link):
             self.state = self._reading(now)
 
     def _is_same_robot(self) -> bool:
-        """Whether the newest reading bears the serial number of the first."""
+        """Return True if the newest reading has the serial number of the first."""
         serial = tuple(self._in.SN)
         if self._serial is None:
             self._serial = serial
@@ -113,6 +120,7 @@ class Go1Link(Link):
         return self._strangers == 0
 
     def _reading(self, now: float) -> RobotState:
+        """Return the newest packet as a reading that came at `now`, s."""
         motors = [self._in.motorState[motor] for motor in MOTORS]
         modes = np.array([motor.mode for motor in motors])
         return RobotState(

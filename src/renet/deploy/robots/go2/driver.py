@@ -18,12 +18,15 @@ def demand_dds() -> None:
 def go2_robot(
     interface: str, domain: int = 0, watch: bool = False, timeout: float = 20.0, **options: float
 ) -> RealRobot:
-    """A Go2 behind a sender process, which releases the robot's own controllers once connected.
+    """Make the driver of a Go2 behind a sender process, without connecting it.
+
+    Once connected, the sender releases the motors from the robot's own controllers.
 
     Args:
-        interface: network card that the robot is at. domain: its DDS domain; every Go2's is 0.
-        watch: only look: its own controllers go on, and it is never commanded.
-        timeout: seconds `connect` waits for the robot and for its controllers' end.
+        interface: Network card that the robot is connected to.
+        domain: The robot's DDS domain; every Go2's is 0.
+        watch: Only watch: the robot's own controllers go on, and it is never commanded.
+        timeout: Time that `connect` waits for the robot and the end of its controllers, s.
         options: `sink` of `RealRobot`.
 
     Raises:

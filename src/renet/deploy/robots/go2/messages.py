@@ -1,4 +1,4 @@
-"""The Go2's DDS messages: one table of fields gives DDS type, memory layout and CRC.
+"""DDS messages of the Go2: one table of fields gives DDS type, memory layout and CRC.
 
 Fields, their order and the CRC are those of unitree_sdk2 (BSD-3). The robot runs Cyclone DDS
 0.10.2, which crashes on type information as newer versions make it: `types.json` holds what
@@ -21,16 +21,16 @@ from renet.errors import RenetError
 IDL = {"u1": types.uint8, "<u2": types.uint16, "<u4": types.uint32}
 IDL |= {"<i2": types.int16, "<i4": types.int32, "<f4": types.float32, "<f8": types.float64}
 MODULE = "unitree_go.msg.dds_"
-TYPES = Path(__file__).with_name("types.json")
+TYPES_FILE = Path(__file__).with_name("types.json")
 """By type, 0.10.2's TypeInformation and TypeMapping (XTypes 1.3), zlib and base64."""
 TYPES_SHA256 = "e3c9297cba42ffafaf838c15ab4bc5b41d354b0152018ada7ee32a6253c589bc"
 
 Fields = tuple[tuple[str, Any, int], ...]
-"""Name, type (of NumPy, or name and fields of a struct) and count of each."""
+"""Name, type (of NumPy, or name and fields of a struct) and count of each field."""
 
 
 def _fields(text: str, **structs: Fields) -> Fields:
-    """Fields from their types, names and counts, as C writes them; types may be other structs."""
+    """Parse fields from their types, names and counts, as C writes them; types may be `structs`."""
     fields = []
     for kind, name, *count in map(str.split, text.replace("[", " ").replace("]", "").split(",")):
         part = (kind, structs[kind]) if kind in structs else np.dtype(f"<{kind}").str.lstrip("|")
@@ -70,7 +70,7 @@ MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def memory_layout(fields: Fields) -> np.dtype:
-    """The C struct of a message, over which its CRC is computed."""
+    """Return the C struct of a message, over which its CRC is computed."""
     entries = []
     for name, kind, count in fields:
         part = np.dtype(kind) if isinstance(kind, str) else memory_layout(kind[1])
@@ -79,7 +79,7 @@ def memory_layout(fields: Fields) -> np.dtype:
 
 
 def _numbers(layout: np.dtype, start: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Offset, size and count of the numbers of a C struct, in order."""
+    """Yield offset, size and count of the numbers of a C struct, in order."""
     for name in layout.names or ():
         part, offset = layout.fields[name][:2]  # type: ignore[index]
         element, shape = part.subdtype or (part, (1,))
@@ -92,7 +92,7 @@ def _numbers(layout: np.dtype, start: int = 0) -> Iterator[tuple[int, int, int]]
 
 
 def payload_order(layout: np.dtype) -> np.ndarray:
-    """For each byte of a message's CDR payload its byte in the C struct; -1 for padding.
+    """Return, for each byte of a message's CDR payload, its byte in the C struct; -1 is padding.
 
     CDR aligns every number to its size, from the payload's start, and ends structs unpadded.
     """
@@ -112,15 +112,16 @@ def _idl(name: str, fields: Fields, module: str = MODULE) -> type:
 
 
 def message_type(name: str, fields: Fields, module: str = MODULE) -> Any:
-    """A DDS type of a module whose samples are C structs.
+    """Make a DDS type whose samples are C structs.
 
-    A sample has `values`, a record with the table's fields, and `raw`, the same memory as bytes;
-    both are None where the payload was not one of this type. Making one without arguments gives
-    zeros. Serialising is one gather: the library's own costs a fifth of a 2 ms period.
+    A sample has `values`, a record with the table's fields, and `raw`, the same memory as bytes.
+    Both are None if the payload was none of this type. A new sample is all zeros. Samples are
+    serialised by one gather, because the library's own way costs a fifth of a 2 ms period.
     """
     layout = memory_layout(fields)
     order = payload_order(layout)
-    (places,), size = np.nonzero(order >= 0), len(order)
+    size = len(order)
+    (places,) = np.nonzero(order >= 0)
     bytes_ = order[places]
     base = _idl(name, fields, module)
 
@@ -135,6 +136,7 @@ def message_type(name: str, fields: Fields, module: str = MODULE) -> Any:
 
     def deserialize(data: bytes, *arguments: Any, **options: Any) -> Any:
         sample = base()
+        # Another encoding, or a payload that was cut.
         if data[:2] != CDR[:2] or len(data) < len(CDR) + size:
             sample.raw = sample.values = None
             return sample
@@ -145,13 +147,14 @@ def message_type(name: str, fields: Fields, module: str = MODULE) -> Any:
         """No type here has a key; the library asks for it when a writer leaves."""
 
     base.__init__ = initialize
-    base.serialize, base.deserialize = serialize, staticmethod(deserialize)
+    base.serialize = serialize
+    base.deserialize = staticmethod(deserialize)
     base.deserialize_key = staticmethod(deserialize_key)
     return base
 
 
 def crc(raw: np.ndarray) -> int:
-    """The vendor's checksum of a C struct, which goes into its last four bytes.
+    """Return the vendor's checksum of a C struct, which goes into its last four bytes.
 
     CRC-32 of the little-endian words before them, most significant bit first, not inverted at the
     end: zlib's with the bits of every byte, and of the result, in the other order.
@@ -161,19 +164,23 @@ def crc(raw: np.ndarray) -> int:
     return int(f"{value:032b}"[::-1], 2)
 
 
-def read_types(path: Path = TYPES, sha256: str = TYPES_SHA256) -> dict[str, tuple[bytes, bytes]]:
-    """Type information and mapping to announce, by type; raises RenetError for a changed file."""
+def read_types(
+    path: Path = TYPES_FILE, sha256: str = TYPES_SHA256
+) -> dict[str, tuple[bytes, bytes]]:
+    """Read the type information and mapping to announce, by type; raises RenetError if damaged."""
     content = path.read_bytes()
     if hashlib.sha256(content).hexdigest() != sha256:
         raise RenetError(f"{path} is damaged: install renet again")
-    entries = json.loads(content).items()
-    return {
-        name: (zlib.decompress(base64.b64decode(a)), zlib.decompress(base64.b64decode(b)))
-        for name, (a, b) in entries
-    }
+    found = {}
+    for name, (information, mapping) in json.loads(content).items():
+        found[name] = (
+            zlib.decompress(base64.b64decode(information)),
+            zlib.decompress(base64.b64decode(mapping)),
+        )
+    return found
 
 
 LowCmd = message_type("LowCmd_", LOW_CMD)
-"""To the robot: a target for each of 20 motors, of which 0 to 11 are the legs'."""
+"""Message to the robot: a target for each of 20 motors, of which 0 to 11 are the legs'."""
 LowState = message_type("LowState_", LOW_STATE)
-"""From the robot, at 500 Hz."""
+"""Message from the robot, at 500 Hz."""

@@ -1,6 +1,6 @@
-"""DDS as a Go2 and ROS 2 speak it, on one network card.
+"""DDS of a Go2 and of ROS 2, on one network card.
 
-A Go2's is always named. ROS 2's may be left to Cyclone DDS, as ROS 2 leaves it.
+The card of a Go2 is always named. That of ROS 2 may be left to Cyclone DDS, as ROS 2 itself does.
 """
 
 import socket
@@ -20,35 +20,38 @@ from renet.deploy.robots.go2.messages import read_types
 from renet.errors import RenetError
 
 CYCLONEDDS = "11.0.1"
-"""The only version whose private attributes this has been tried with."""
-CONFIG = (
+"""Only version of Cyclone DDS whose private attributes, used here, have been tested."""
+INTERFACE_CONFIG = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="{}" '
     'multicast="true"/></Interfaces></General></Domain></CycloneDDS>'
 )
-"""Left to itself, Cyclone DDS announces itself on the first network card."""
+"""Configuration for one card; without it, Cyclone DDS announces itself on the first one."""
 PLAIN_CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 NEVER_WAIT = Policy.Reliability.Reliable(max_blocking_time=0)
-"""A reader that does not acknowledge must not hold up the motors' next command."""
+"""Quality of service by which a reader that does not acknowledge cannot delay a command."""
 ANNOUNCED = 2.0
-"""Seconds within which Cyclone DDS says what it announced."""
+"""Time within which Cyclone DDS must say what it announced, s."""
 
 
 @cache
 def _join(domain: int, interface: str) -> Domain:
-    """The domain, for as long as the process lives; it has one interface only."""
-    return Domain(domain, CONFIG.format(interface))
+    """Join a domain on one interface, for as long as the process lives."""
+    return Domain(domain, INTERFACE_CONFIG.format(interface))
 
 
 class Network:
-    """One participant of a DDS domain."""
+    """Participant of a DDS domain."""
 
     def __init__(self, interface: str, domain: int = 0) -> None:
-        """Join a domain (the robot's is 0) on the network card of this name, such as eth0.
+        """Join a domain.
 
-        Without a name, Cyclone DDS takes the one that CYCLONEDDS_URI says, or the first.
+        Args:
+            interface: Name of a network card, such as eth0. If empty, Cyclone DDS takes that of the
+                variable CYCLONEDDS_URI, or the first.
+            domain: DDS domain; a robot's is 0.
 
         Raises:
-            RenetError: no such interface, another version of Cyclone DDS, or one that fails.
+            RenetError: There is no such interface, Cyclone DDS has another version, or it fails.
         """
         if version("cyclonedds") != CYCLONEDDS:
             raise RenetError(
@@ -68,10 +71,10 @@ class Network:
             raise RenetError(f"cannot use DDS{where}: {error.msg}") from error
 
     def writer(self, topic: str, message: Any, depth: int = 1) -> DataWriter:
-        """A writer that never waits, and sends the newest `depth` messages again if they are lost.
+        """Make a writer that never waits, and repeats the newest `depth` messages if they are lost.
 
         Raises:
-            RenetError: it would announce another type than the robot does.
+            RenetError: It would announce another type than the robot does.
         """
         qos = Qos(PLAIN_CDR, NEVER_WAIT, Policy.History.KeepLast(depth))
         writer = DataWriter(self._participant, self._topic(topic, message), qos)
@@ -79,14 +82,16 @@ class Network:
         return writer
 
     def reader(self, topic: str, message: Any, depth: int = 1) -> DataReader:
-        """A reader of the newest `depth` messages, but for this participant's own."""
+        """Make a reader of the newest `depth` messages, without this participant's own."""
         qos = Qos(PLAIN_CDR, Policy.History.KeepLast(depth), Policy.IgnoreLocal.Participant)
         return DataReader(self._participant, self._topic(topic, message), qos)
 
     def _topic(self, name: str, message: Any) -> Topic:
         idl = message.__idl__
         idl.populate()
-        idl._xt_data = (idl, idl)  # Not None: it is not to be made anew.
+        # Anything but None keeps Cyclone DDS from making its own type information, with which the
+        # robot's version crashes.
+        idl._xt_data = (idl, idl)
         idl._xt_bytedata = self._types[message.__name__]
         return Topic(self._participant, name, message, Qos(PLAIN_CDR))
 

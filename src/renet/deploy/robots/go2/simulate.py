@@ -26,10 +26,13 @@ class SimulateCfg:
 
 def simulate(cfg: SimulateCfg) -> None:
     """Run at the pace of the wall clock; prints at the end what it was told."""
-    from renet.deploy.robots.go2.fake import LOOPBACK, FakeGo2
+    from renet.deploy.robots.go2.fake import LOOPBACK_CARD, FakeGo2
 
     robot = FakeGo2(cfg.domain, cfg.terrain, cfg.level)
-    print(f"a Go2 lies on {cfg.terrain!r}, interface {LOOPBACK}, domain {cfg.domain}; Ctrl-C ends")
+    print(
+        f"a Go2 lies on {cfg.terrain!r}, interface {LOOPBACK_CARD}, domain {cfg.domain}; "
+        "Ctrl-C ends"
+    )
     begun = time.monotonic()
     try:
         while robot.steps * PERIOD < cfg.seconds:

@@ -1,4 +1,4 @@
-"""MotionSwitcher: which of the Go2's own controllers moves its motors, and how to stop it.
+"""Client of MotionSwitcher, the Go2's service that starts and ends its own controllers.
 
 Topics, types and numbers of unitree_sdk2 (BSD-3).
 """
@@ -17,12 +17,18 @@ from cyclonedds.idl import make_idl_struct, types
 from renet.deploy.robots.go2.network import Network
 from renet.deploy.robots.real.identity import Speakers
 
-REQUESTS, RESPONSES = "rt/api/motion_switcher/request", "rt/api/motion_switcher/response"
-CHECK_MODE, SELECT_MODE, RELEASE_MODE = 1001, 1002, 1003
+REQUESTS = "rt/api/motion_switcher/request"
+RESPONSES = "rt/api/motion_switcher/response"
+CHECK_MODE = 1001
+"""Request for the name of the active mode."""
+SELECT_MODE = 1002
+"""Request to start a mode."""
+RELEASE_MODE = 1003
+"""Request to end the active mode."""
 CHECK_EVERY = 0.25
-"""Seconds between two questions which mode is active, and between two releases."""
-PATIENCE = 20
-"""Questions whose answers count, however late they come."""
+"""Time from one question for the active mode to the next, and from release to release, s."""
+_PATIENCE = 20
+"""Number of last questions whose answers count, however late they come."""
 
 
 def _struct(name: str, **members: Any) -> Any:
@@ -44,24 +50,26 @@ class MotionSwitcher:
     """Asks for the active mode again and again, without ever waiting for the answer."""
 
     def __init__(self, network: Network) -> None:
-        """Set up; nothing is asked yet."""
+        """Join the topics; nothing is asked yet."""
         self._writer = network.writer(REQUESTS, Request, depth=8)
         self._reader = network.reader(RESPONSES, Response, depth=8)
         self._numbers = itertools.count(time.time_ns())
-        self._questions: deque[int] = deque(maxlen=PATIENCE)
-        self._releases: deque[int] = deque(maxlen=PATIENCE)
+        self._questions: deque[int] = deque(maxlen=_PATIENCE)
+        self._releases: deque[int] = deque(maxlen=_PATIENCE)
         self._due = -math.inf
         self.speakers = Speakers()
-        """Who has answered: one for each robot on the network."""
+        """Services that have answered: one for each robot on the network."""
         self.mode: str | None = None
         """Name of the active mode, empty if there is none; None before the first answer."""
         self.released = False
-        """Whether a release was carried out since the last step: the motors are limp from now."""
+        """True if a release was carried out since the last step: the motors are limp from now."""
 
     def step(self, now: float, release: bool) -> None:
-        """Take over an answer that has come, and ask again when that is due.
+        """Take over the answers that have come, and ask again when that is due.
 
-        Then `release` ends an active mode, too; `now` is in seconds on the caller's clock.
+        Args:
+            now: Time on the caller's clock, s.
+            release: Ask also for the end of an active mode.
         """
         self.released = False
         for response in self._reader.take(8):
@@ -75,26 +83,31 @@ class MotionSwitcher:
 
     @property
     def releasing(self) -> bool:
-        """Whether a release was asked for: the motors may be limp from then on."""
+        """True once a release was asked for; from then on the motors may be limp."""
         return bool(self._releases)
 
     def _ask(self, api: int, parameter: str = "{}") -> int:
         number = next(self._numbers)
         header = RequestHeader(Identity(number, api), Lease(0), RequestPolicy(0, False))
-        with suppress(DDSException):  # A switch that does not acknowledge: it is asked again.
+        # A switch that does not acknowledge is asked again later.
+        with suppress(DDSException):
             self._writer.write(Request(header, parameter, []))
         return number
 
     def _read(self, response: Any) -> None:
-        header = getattr(response, "header", None)  # Absent where a writer has left.
+        """Take over an answer, unless it is somebody else's."""
+        # Absent when a writer has left.
+        header = getattr(response, "header", None)
         if header is None or header.identity.id not in (*self._questions, *self._releases):
-            return  # An answer to somebody else.
+            return
         if not self.speakers.hear(response.sample_info.publication_handle):
             return
+        # A busy switch answers with an error.
         if header.status.code:
-            return  # Of a switch that is busy.
+            return
         if header.identity.id in self._releases:
-            self.released, self.mode = True, ""
+            self.released = True
+            self.mode = ""
             return
         try:
             self.mode = str(json.loads(response.data)["name"])

@@ -1,4 +1,4 @@
-"""When a robot is braked whatever its controller wants; shared by the links to all real robots."""
+"""Braking of a robot whatever its controller wants; the base class of links to real robots."""
 
 import math
 from abc import ABC, abstractmethod
@@ -13,86 +13,89 @@ from renet.deploy.robots.real.identity import Count
 from renet.robots import Robot
 
 PERIOD = 0.002
-"""Seconds between two exchanges with a robot's motors."""
+"""Time from one exchange with a robot's motors to the next, s."""
 HEARTBEAT = 0.004
-"""Seconds between two signs of life of the controller's process."""
+"""Time from one sign of life of the controller's process to the next, s."""
 LIFELESS = 0.014
-"""Seconds without one after which the robot is braked: on the wire within 20 ms."""
+"""Time without a sign of life after which the robot is braked, s: on the wire within 20 ms."""
 SILENCE = 0.1
-"""Seconds without a new command after which the robot is braked."""
+"""Time without a new command after which the robot is braked, s."""
 BRAKE = 3.0
-"""Kd of that brake, N m s/rad."""
+"""Kd of the brake, N m s/rad."""
 
 
 class Link(ABC):
-    """One exchange after the other with a robot; no thread, no clock of its own.
+    """Exchange of commands and readings with a robot, without a thread or clock of its own.
 
-    It brakes the robot by itself when the controller's process gives no sign of life, when no new
-    command comes, and for good when there is a problem. `now` is the time on whichever clock the
-    caller keeps.
+    It brakes the robot when the controller's process gives no sign of life or no new command comes,
+    and for good when there is a problem. `now` is the time on the caller's clock, s.
     """
 
     leap = 100
-    """Most by which one reading's count may be ahead of the last one's."""
+    """Largest leap of the count from one reading to the next."""
 
     def __init__(self, robot: Robot) -> None:
         """Begin without a command: joints are left alone until the first."""
         self._robot = robot
         self._command: JointCommand | None = None
         self.commanded = -math.inf
-        """When the newest command was given; -inf before the first."""
+        """Time of the newest command; -inf before the first."""
         self.holding: JointCommand | None = None
-        """What holds the robot before that; None where it may lie limp."""
-        self._alive = self._too_old = -math.inf
+        """Command that holds the robot before the first; None if it may lie limp."""
+        self._alive = -math.inf
+        self._too_old = -math.inf
         self._count = Count(self.leap)
         self.state: RobotState | None = None
         """Newest reading; its time stands still when the robot falls silent."""
         self.problem = ""
-        """Why the robot is braked for good; empty while it is not."""
+        """Reason for which the robot is braked for good; empty while it is not."""
 
     def alive(self, since: float) -> None:
-        """The controller's process lived at this time."""
+        """Note that the controller's process lived at the time `since`."""
         self._alive = max(self._alive, since)
 
     def command(self, command: JointCommand, now: float) -> None:
-        """Send this, within the robot's limits, from the next exchange on.
+        """Send a command, within the robot's limits, from the next exchange on.
 
         Raises:
-            RenetError: it is not made of 12 finite numbers each; the one before stands.
+            RenetError: It is not made of 12 finite numbers each; the one before stands.
         """
         self._command = clamp(self._robot, command, self.state)
         self.commanded = now
 
     def exchange(self, now: float) -> None:
-        """Read what arrived, send the newest command; raises only what sending itself raises."""
+        """Read what arrived, and send the newest command; raises only what sending raises."""
         with self.braked_on_failure():
             self._receive(now)
         lifeless = now - self._alive > LIFELESS
         if lifeless:
-            self._too_old = now  # A command from before the gap must not be obeyed after it.
+            # A command from before the gap must not be obeyed after it.
+            self._too_old = now
         silent = now - self.commanded > SILENCE or self.commanded <= self._too_old
         command = self._command
-        if command is None:  # Before the first command nobody can be late with one.
-            command, silent = self.holding, lifeless
+        # Before the first command nobody can be late with one.
+        if command is None:
+            command = self.holding
+            silent = lifeless
         if command is not None and (silent or self.problem):
             command = braking(command)
         self._send(command)
 
     @property
     def moved(self) -> bool:
-        """Whether the motors were ever told anything."""
+        """True if the motors were ever commanded."""
         return self.commanded > -math.inf or self.holding is not None
 
     @contextmanager
     def braked_on_failure(self) -> Iterator[None]:
-        """Make a problem of what fails in a block: sending on is all that can still brake."""
+        """Turn an exception in a block into a problem: only a link that goes on can brake."""
         try:
             yield
         except Exception as error:
             self.problem = f"the robot's driver failed: {type(error).__name__}: {error}"
 
     def _news(self, count: int) -> bool:
-        """Whether a reading is newer than the last by its 32-bit count; see `identity.Count`."""
+        """Return True if a reading is newer than the last by its count; see `identity.Count`."""
         newer = self._count.news(count)
         self.problem = self.problem or self._count.problem
         return newer
@@ -107,6 +110,6 @@ class Link(ABC):
 
 
 def braking(command: JointCommand) -> JointCommand:
-    """The brake for joints that were told something else."""
+    """Return the command that brakes the joints of another command."""
     zero = np.zeros_like(command.stiffness)
     return JointCommand(command.position, zero, zero + BRAKE)

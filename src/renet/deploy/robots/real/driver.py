@@ -1,4 +1,4 @@
-"""The controller's side of the process that talks to a real robot."""
+"""Driver of a real robot: the controller's side of the process that talks to the robot."""
 
 import json
 import mmap
@@ -17,31 +17,39 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import clamp
 from renet.deploy.robots.real.braking import HEARTBEAT, PERIOD
 from renet.deploy.robots.real.lock import claim
-from renet.deploy.robots.real.mailbox import ALIVE, COMMAND, READING, SIZE, VALUES, clock, mailboxes
+from renet.deploy.robots.real.mailbox import (
+    ALIVE_LAYOUT,
+    COMMAND_LAYOUT,
+    READING_LAYOUT,
+    SIZE,
+    VALUES,
+    clock,
+    mailboxes,
+)
 from renet.errors import RenetError
 from renet.robots import Robot
 
 
 @dataclass
 class RealRobot:
-    """A robot behind a sender process of its own; its clock is this computer's.
+    """Robot behind a sender process of its own; its clock is this computer's.
 
-    The sender brakes the robot within 20 ms when this process dies, is stopped or gives no sign of
-    life, and when no command comes for 0.1 s.
+    The sender brakes the robot within 20 ms if this process dies, is stopped or gives no sign of
+    life, and if no command comes for 0.1 s.
     """
 
     name: str
     description: Robot
     link: str
-    """MODULE:CLASS of its `braking.Link`."""
+    """MODULE:CLASS of the robot's `braking.Link`."""
     settings: tuple[Any, ...]
-    """What the link is made with; the first two, such as address and port, tell robots apart."""
+    """Arguments of the link; the first two, such as address and port, tell robots apart."""
     no_answer: str
-    """What to tell the user when the robot does not answer."""
+    """Message for the user if the robot does not answer."""
     timeout: float = 5.0
-    """Seconds `connect` waits for the first answer."""
+    """Time that `connect` waits for the first answer, s."""
     sink: float = 1.0
-    """Seconds of braking with which a connection ends: a standing robot sinks to the ground."""
+    """Time of braking at the end of a connection, s: a standing robot sinks to the ground."""
 
     def __post_init__(self) -> None:
         self._sender: subprocess.Popen | None = None
@@ -60,7 +68,8 @@ class RealRobot:
         while self.read() is None:
             dead = self._sender.poll() is not None
             if dead or self._problem or time.monotonic() > deadline:
-                problem = self._problem or self.no_answer  # Read anew: a sender's last word.
+                # Read anew, for the sender's last word.
+                problem = self._problem or self.no_answer
                 self.close()
                 raise RenetError(problem)
             time.sleep(PERIOD)
@@ -71,6 +80,7 @@ class RealRobot:
         os.ftruncate(shared, SIZE)
         self._memory = mmap.mmap(shared, SIZE)
         self._alive, self._commands, self._readings = mailboxes(self._memory)
+        # The system closes this end of the pipe however this process dies.
         pipe, self._pipe = os.pipe()
         command = [sys.executable, "-P", "-m", "renet.deploy.robots.real.sender"]
         arguments = (shared, pipe, self.sink, self.link, json.dumps(self.settings))
@@ -86,7 +96,7 @@ class RealRobot:
         os.close(pipe)
 
     def read(self) -> RobotState | None:
-        """Newest reading, without waiting; None before the first."""
+        """Return the newest reading, without waiting; None before the first."""
         reading = self._reading()
         if not reading["valid"]:
             return None
@@ -94,10 +104,11 @@ class RealRobot:
         return RobotState(**values, fault=reading["fault"].item().decode(errors="replace"))
 
     def write(self, command: JointCommand) -> None:
-        """Hand over a command.
+        """Hand a command over to the sender.
 
         Raises:
-            RenetError: not connected, braked for good, or a command that cannot be sent.
+            RenetError: The robot is not connected or is braked for good, or the command is not one
+                of finite numbers.
         """
         if self._sender is None:
             raise RenetError(f"the {self.name} is not connected")
@@ -109,16 +120,16 @@ class RealRobot:
             raise RenetError(self._problem)
         within = clamp(self.description, command)
         message = (clock(), within.position, within.stiffness, within.damping)
-        self._commands.write(np.array(message, COMMAND))
+        self._commands.write(np.array(message, COMMAND_LAYOUT))
 
     @property
     def refused(self) -> str:
-        """What the system refused the sender, such as real-time priority; empty if nothing."""
+        """Message of what the system refused the sender, such as priority; empty if nothing."""
         refused = self._reading()["refused"].item().decode(errors="replace")
         return refused and f"{refused} to the process that talks to the {self.name}"
 
     def now(self) -> float:
-        """Seconds on this computer's clock, which goes on while it sleeps."""
+        """Return the time on this computer's clock, s, which goes on while it sleeps."""
         return clock()
 
     def wait(self, until: float) -> None:
@@ -126,7 +137,7 @@ class RealRobot:
         time.sleep(max(0.0, until - clock()))
 
     def close(self) -> None:
-        """Let go; a robot that was commanded is braked while it sinks, then left limp."""
+        """Let go: a robot that was commanded is braked while it sinks, then left limp."""
         if self._sender is None or self._stop.is_set():
             return
         self._stop.set()
@@ -137,12 +148,12 @@ class RealRobot:
     def _live(self) -> None:
         """Give signs of life until the end."""
         while not self._stop.wait(HEARTBEAT):
-            self._alive.write(np.array((clock(),), ALIVE))
+            self._alive.write(np.array((clock(),), ALIVE_LAYOUT))
 
     def _reading(self) -> np.ndarray:
-        """What the sender last said, of layout `READING`; zeros before its first word."""
+        """Return the sender's newest message, of `READING_LAYOUT`; zeros before the first."""
         reading = None if self._sender is None else self._readings.read()
-        return np.zeros((), READING) if reading is None else reading
+        return np.zeros((), READING_LAYOUT) if reading is None else reading
 
     @property
     def _problem(self) -> str:

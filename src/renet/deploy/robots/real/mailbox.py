@@ -1,4 +1,4 @@
-"""Memory that a controller and the process that talks to its robot share."""
+"""Shared memory of a controller and the process that talks to its robot."""
 
 import mmap
 import time
@@ -9,11 +9,13 @@ import numpy as np
 from renet.deploy.robots.base import VECTORS
 from renet.interface import ACTION_SIZE
 
-ALIVE = np.dtype([("time", "f8")])
-COMMAND = np.dtype(
+ALIVE_LAYOUT = np.dtype([("time", "f8")])
+"""Sign of life of the controller."""
+COMMAND_LAYOUT = np.dtype(
     [("time", "f8"), ("position", "f8", 12), ("stiffness", "f8", 12), ("damping", "f8", 12)]
 )
-NUMBERS = [
+"""Command of the controller."""
+_NUMBERS = [
     ("time", "f8"),
     *((name, "f8", size) for name, size in VECTORS.items()),
     ("temperature", "f8", ACTION_SIZE),
@@ -21,38 +23,46 @@ NUMBERS = [
     ("voltage", "f8"),
 ]
 """Fields of a `RobotState` that are numbers."""
-VALUES = tuple(entry[0] for entry in NUMBERS)
-TEXTS = [("fault", "S100"), ("problem", "S400"), ("refused", "S400")]
-READING = np.dtype([("valid", "?"), *NUMBERS, *TEXTS])
+VALUES = tuple(entry[0] for entry in _NUMBERS)
+"""Names of these fields."""
+_TEXTS = [("fault", "S100"), ("problem", "S400"), ("refused", "S400")]
+READING_LAYOUT = np.dtype([("valid", "?"), *_NUMBERS, *_TEXTS])
+"""Reading and problems of the sender."""
 SIZE = 4096
+"""Size of the shared memory, bytes."""
 
 
 def clock() -> float:
-    """Seconds, the same in all processes; they go on while the computer sleeps."""
+    """Return the time of a clock that all processes share and that goes on during sleep, s."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 class Mailbox:
-    """The newest value of a fixed layout in memory that two processes share.
+    """Newest value of a fixed layout in memory that two processes share.
 
-    One writer, one reader, no lock: a torn value fails its check and is no value. Whichever process
-    dies or stops in the middle of a write or a read, the other goes on.
+    It has one writer, one reader and no lock, so that one process goes on if the other dies or
+    stops in the middle of a write or read. A value that is half written fails its checksum.
     """
 
     def __init__(self, memory: mmap.mmap, offset: int, layout: np.dtype) -> None:
-        self._memory, self._offset, self._layout = memory, offset, layout
+        """Use `memory` from the byte `offset` on."""
+        self._memory = memory
+        self._offset = offset
+        self._layout = layout
+        # A CRC of four bytes follows the value.
         self.end = offset + layout.itemsize + 4
-        """First byte after it."""
+        """First byte after the mailbox."""
         self._value: np.ndarray | None = None
 
     def write(self, value: np.ndarray) -> None:
-        """Replace the value, a scalar array of the layout."""
+        """Replace the value by a scalar array of the layout."""
         data = value.tobytes()
         self._memory[self._offset : self.end] = data + zlib.crc32(data).to_bytes(4, "little")
 
     def read(self) -> np.ndarray | None:
-        """The newest whole value; None before the first."""
+        """Return the newest whole value; None before the first."""
         for _ in range(3):
+            # The writer may be in the middle of a write, which does not take long.
             raw = self._memory[self._offset : self.end]
             if zlib.crc32(raw[:-4]) == int.from_bytes(raw[-4:], "little"):
                 self._value = np.frombuffer(raw, self._layout, 1)[0]
@@ -61,7 +71,7 @@ class Mailbox:
 
 
 def mailboxes(memory: mmap.mmap) -> tuple[Mailbox, Mailbox, Mailbox]:
-    """Signs of life and commands of the controller, readings of the sender."""
-    alive = Mailbox(memory, 0, ALIVE)
-    commands = Mailbox(memory, alive.end, COMMAND)
-    return alive, commands, Mailbox(memory, commands.end, READING)
+    """Lay out mailboxes for the controller's signs of life and commands, and for readings."""
+    alive = Mailbox(memory, 0, ALIVE_LAYOUT)
+    commands = Mailbox(memory, alive.end, COMMAND_LAYOUT)
+    return alive, commands, Mailbox(memory, commands.end, READING_LAYOUT)

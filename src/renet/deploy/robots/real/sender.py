@@ -1,8 +1,8 @@
 """The process that talks to a real robot at 500 Hz, whatever becomes of the controller's.
 
-It shares memory with the controller and holds the reading end of a pipe whose other end only the
-controller has: the system closes that however the controller dies. It then brakes the robot while
-it sinks, and ends. It runs in a session of its own, so that no key of the terminal reaches it.
+It shares memory with the controller, and reads a pipe whose other end the system closes however the
+controller dies. Then it brakes the robot while it sinks, and ends. It runs in a session of its own,
+so that no key of the terminal reaches it.
 """
 
 import json
@@ -18,26 +18,28 @@ import numpy as np
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.real.braking import PERIOD, Link
-from renet.deploy.robots.real.mailbox import READING, SIZE, VALUES, Mailbox, clock, mailboxes
+from renet.deploy.robots.real.mailbox import READING_LAYOUT, SIZE, VALUES, Mailbox, clock, mailboxes
 from renet.errors import RenetError
 
-PRIORITY = 60
-"""SCHED_FIFO priority, above the controller's."""
+_PRIORITY = 60
+"""SCHED_FIFO priority of the exchange, above the controller's."""
 
 
 def main(arguments: list[str]) -> None:
     """Talk to the robot until the controller is gone.
 
     Args:
-        arguments: descriptors of the shared memory and of the pipe, seconds of braking at the end,
-            MODULE:CLASS of the robot's link, and its settings as a JSON list.
+        arguments: Descriptors of the shared memory and of the pipe, time of braking at the end in
+            s, MODULE:CLASS of the robot's link, and the link's arguments as a JSON list.
     """
-    memory, pipe = (int(text) for text in arguments[:2])
+    memory, pipe = map(int, arguments[:2])
     sink, link_class, settings = arguments[2:]
+    # Only the end of the controller ends this process.
     for name in ("INT", "TSTP", "QUIT", "HUP", "TERM", "USR1", "USR2", "PIPE"):
         signal.signal(signal.Signals[f"SIG{name}"], signal.SIG_IGN)
     alive, commands, readings = mailboxes(mmap.mmap(memory, SIZE))
-    with realtime(PRIORITY) as refused:  # From before the link starts threads of its own.
+    # The link may start threads, which inherit the priority.
+    with realtime(_PRIORITY) as refused:
         try:
             link: Link = pkgutil.resolve_name(link_class)(*json.loads(settings))
         except Exception as error:
@@ -45,9 +47,11 @@ def main(arguments: list[str]) -> None:
             problem = str(error) if named else f"{type(error).__name__}: {error}"
             readings.write(_reading(None, problem, refused))
             return
-        due, end = clock(), np.inf
+        due = clock()
+        end = np.inf
         while clock() < end:
-            if end == np.inf and select.select([pipe], [], [], 0.0)[0]:  # The controller is gone.
+            # The pipe is readable once its other end is closed: the controller is gone.
+            if end == np.inf and select.select([pipe], [], [], 0.0)[0]:
                 link.problem = link.problem or "the connection was closed"
                 end = clock() + float(sink) if link.moved else 0.0
             step(link, alive, commands)
@@ -58,27 +62,29 @@ def main(arguments: list[str]) -> None:
 
 
 def step(link: Link, alive: Mailbox, commands: Mailbox) -> None:
-    """One exchange, with what the controller last said."""
+    """Do one exchange with the controller's newest sign of life and command."""
     with link.braked_on_failure():
-        sign, message = alive.read(), commands.read()
+        sign = alive.read()
+        message = commands.read()
         if sign is not None:
             link.alive(float(sign["time"]))
         if message is not None and message["time"] != link.commanded:
-            parts = (message["position"], message["stiffness"], message["damping"])
-            link.command(JointCommand(*parts), float(message["time"]))
+            command = JointCommand(message["position"], message["stiffness"], message["damping"])
+            link.command(command, float(message["time"]))
     with link.braked_on_failure():
         link.exchange(clock())
 
 
 def _reading(link: Link | None, problem: str, refused: str) -> np.ndarray:
-    """What the controller is told."""
-    reading = np.zeros((), READING)
+    """Return the message to the controller, of `READING_LAYOUT`."""
+    reading = np.zeros((), READING_LAYOUT)
     if link is not None and link.state is not None:
         reading["valid"] = True
         for name in VALUES:
             reading[name] = getattr(link.state, name)
         reading["fault"] = link.state.fault.encode()
-    reading["problem"], reading["refused"] = problem.encode(), refused.encode()
+    reading["problem"] = problem.encode()
+    reading["refused"] = refused.encode()
     return reading
 
 

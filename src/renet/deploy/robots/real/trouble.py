@@ -1,4 +1,4 @@
-"""What motors say of themselves: that they no longer obey, or do not hear."""
+"""Trouble that motors report: that they no longer obey, or lose commands."""
 
 import math
 
@@ -8,19 +8,19 @@ from renet.deploy.robots.real.identity import IN_A_ROW
 from renet.interface import JOINTS
 
 BEGUN = 0.1
-"""Seconds from the first command to when every motor says that it obeys."""
-WINDOW = 0.1
-"""Seconds over which lost messages are counted."""
-MOST_LOST = 25
-"""Messages that a motor may lose in that time, half of those that are sent."""
-ABSURD = 1000
-"""A count that grew by more is no count."""
+"""Time from the first command until every motor reports that it obeys, s."""
+_WINDOW = 0.1
+"""Time over which lost messages are counted, s."""
+_MOST_LOST = 25
+"""Number of lost messages in that time that is trouble, half of those that are sent."""
+_ABSURD = 1000
+"""Largest believable growth of a count."""
 
 
 class MotorTrouble:
     """Judges the mode and the lost messages that each motor reports.
 
-    What the numbers mean is the vendor's secret in part. So a motor's mode is compared with its own
+    The vendors do not document all of these numbers. So a motor's mode is compared with its own
     when commands began, and the lost messages with those shortly before.
     """
 
@@ -33,23 +33,26 @@ class MotorTrouble:
         self._first = math.inf
 
     def look(self, modes: np.ndarray, lost: np.ndarray, commanded: float, now: float) -> str:
-        """What is wrong; empty if nothing is.
+        """Return the trouble in a line; empty if there is none.
 
         Args:
-            modes: [12], of the motors. lost: [12] messages since the robot's start.
-            commanded: when the newest command was given, s; -inf before the first. now: likewise.
+            modes: [12] modes of the motors.
+            lost: [12] numbers of messages lost since the robot's start.
+            commanded: Time of the newest command, s; -inf before the first.
+            now: Time, s.
         """
         if commanded == -math.inf:
             return ""
         self._first = min(self._first, now)
+        # Motors change their mode some time after the first command.
         if now - self._first < BEGUN:
             return ""
         if self._usual is None:
             self._usual = np.array(modes)
         self._changed = np.where(modes != self._usual, self._changed + 1, 0)
-        if now - self._counted >= WINDOW:
+        if now - self._counted >= _WINDOW:
             grown = lost.astype(float) - self._lost
-            self._deaf = (grown >= MOST_LOST) & (grown <= ABSURD) & (self._counted > -math.inf)
+            self._deaf = (grown >= _MOST_LOST) & (grown <= _ABSURD) & (self._counted > -math.inf)
             self._lost = lost.astype(float)
             self._counted = now
         for joint, changed, deaf in zip(JOINTS, self._changed, self._deaf, strict=True):

@@ -1,4 +1,4 @@
-"""Meshes with hollows: MuJoCo's contacts fill them, and a camera's rays do not."""
+"""Check of meshes for hollows, which MuJoCo's contacts fill and a camera's rays do not."""
 
 import mujoco
 import numpy as np
@@ -10,7 +10,7 @@ ON_HULL = 1e-3
 HOLLOW = 0.03
 """Depth of the deepest hollow that a mesh may have, m: steps are higher."""
 RAYS = 48
-"""Rays along each side of a mesh's bounding box, from each of its six sides."""
+"""Number of rays along each edge of a mesh's bounding box, from each of its six sides."""
 
 
 def demand_convex(model: mujoco.MjModel) -> None:
@@ -23,6 +23,7 @@ def demand_convex(model: mujoco.MjModel) -> None:
     for geom in range(model.ngeom):
         if model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
             continue
+        # Only the ground counts, and of it what a robot can touch.
         static = model.body_weldid[model.geom_bodyid[geom]] == 0
         if not static or not model.geom_contype[geom] & 1:
             continue
@@ -37,9 +38,9 @@ def demand_convex(model: mujoco.MjModel) -> None:
 
 
 def hollow(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Depth of the deepest hollow of a mesh seen from its six sides, m.
+    """Return the depth of the deepest hollow of a mesh seen from its six sides, m.
 
-    The mesh's surface is held against that of its convex hull along the same rays.
+    Along each ray, the mesh's surface is compared with that of its convex hull.
     """
     mesh = model.geom_dataid[geom]
     if is_hull(model, mesh):
@@ -48,7 +49,8 @@ def hollow(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
     rotation = data.geom_xmat[geom].reshape(3, 3)
     middle = data.geom_xpos[geom]
     vertices = mesh_vertices(model, mesh)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    low = vertices.min(axis=0)
+    high = vertices.max(axis=0)
     deepest = 0.0
     for axis in range(3):
         for way in (1.0, -1.0):
@@ -63,10 +65,11 @@ def hollow(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
 def side_rays(
     low: np.ndarray, high: np.ndarray, axis: int, way: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Starts and directions of parallel rays through a box [low, high], from outside of it."""
+    """Return starts and directions of parallel rays through a box [low, high] from outside."""
     ray = np.zeros(3)
     ray[axis] = way
     first, second = (other for other in range(3) if other != axis)
+    # Rays along the very edges might miss.
     margin = 1e-4 * (high - low)
     across = np.linspace(low[first] + margin[first], high[first] - margin[first], RAYS)
     along = np.linspace(low[second] + margin[second], high[second] - margin[second], RAYS)
@@ -82,7 +85,7 @@ def side_rays(
 
 
 def enters(normals: np.ndarray, offsets: np.ndarray, start: np.ndarray, ray: np.ndarray) -> float:
-    """Distance after which a ray from outside is inside of all planes, m."""
+    """Return the distance after which a ray from outside is inside of all planes, m."""
     rates = normals @ ray
     distances = (offsets - normals @ start) / np.where(rates == 0.0, np.inf, rates)
     return float(np.max(distances, where=rates < 0.0, initial=0.0))
@@ -95,7 +98,7 @@ def mesh_vertices(model: mujoco.MjModel, mesh: int) -> np.ndarray:
 
 
 def is_hull(model: mujoco.MjModel, mesh: int) -> bool:
-    """Whether the faces of a mesh are those of its convex hull, which needs no rays to see."""
+    """Return True if the faces of a mesh are those of its convex hull: it has no hollow."""
     faces = mesh_corners(model, mesh)
     hull = hull_corners(model, mesh)
     normals, offsets = planes(hull)
@@ -118,7 +121,8 @@ def hull_corners(model: mujoco.MjModel, mesh: int) -> np.ndarray:
     # MuJoCo's description of `mesh_graph`: numbers of vertices and faces, two numbers for each
     # vertex, a table of edges, and last three vertices of the mesh for each face.
     graph = model.mesh_graph[model.mesh_graphadr[mesh] :]
-    vertices, faces = int(graph[0]), int(graph[1])
+    vertices = int(graph[0])
+    faces = int(graph[1])
     first = 2 + 3 * vertices + 3 * faces
     corners = graph[first : first + 3 * faces].reshape(faces, 3)
     return mesh_vertices(model, mesh)[corners]

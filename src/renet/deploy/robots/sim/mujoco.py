@@ -1,4 +1,4 @@
-"""A robot in C MuJoCo, in this process: as fast as it goes, or paced to the wall clock."""
+"""Robot in C MuJoCo, in this process: as fast as it goes, or paced to the wall clock."""
 
 import time
 
@@ -16,6 +16,7 @@ from renet.robots import find_robot
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
 UNSEEN_GROUP = 5
+"""MuJoCo geom group that no camera sees."""
 UNSTABLE = tuple(getattr(mujoco.mjtWarning, f"mjWARN_BADQ{of}") for of in ("POS", "VEL", "ACC"))
 """MuJoCo's warnings of values that are not finite or beyond all measure."""
 ANY_DISTANCE = mujoco.mjMAXVAL
@@ -23,7 +24,7 @@ ANY_DISTANCE = mujoco.mjMAXVAL
 
 
 class MujocoRobot:
-    """A simulated robot; its clock is the simulation's."""
+    """Simulated robot, whose clock is the simulation's."""
 
     def __init__(
         self,
@@ -36,10 +37,11 @@ class MujocoRobot:
         """Put the robot of a scene (see scene.build_scene) at the origin, in its default pose.
 
         Args:
-            model: the scene, which motors that are not ideal change. robot: of the bundle.
-            ground: height of what it stands on, m.
-            real_time: whether to pace the simulation to the wall clock.
-            motors: of its joints, which step with the physics; ideal by default.
+            model: Scene; motors that are not ideal change it.
+            robot: Robot of the bundle.
+            ground: Height of the ground at the origin, m.
+            real_time: Pace the simulation to the wall clock.
+            motors: Motors of the joints, which step with the physics; ideal by default.
         """
         self.description = find_robot(robot.name)
         self.model = model
@@ -55,6 +57,7 @@ class MujocoRobot:
         spin = model.jnt_dofadr[free] + 3
         self._spin = slice(spin, spin + 3)
         self.data.qpos[self._position] = robot.default_position
+        # Joints are limp until the first command.
         limp = np.zeros(len(JOINTS))
         self.write(JointCommand(np.array(robot.default_position), limp, limp))
         mujoco.mj_forward(model, self.data)
@@ -66,7 +69,7 @@ class MujocoRobot:
         self._begun = time.monotonic() - self.data.time
 
     def read(self) -> RobotState:
-        """Newest reading, without waiting."""
+        """Return the newest reading, without waiting."""
         data = self.data
         return RobotState(
             time=data.time,
@@ -82,11 +85,11 @@ class MujocoRobot:
         self._servos.write(command)
 
     def now(self) -> float:
-        """Simulated seconds."""
+        """Return the simulated time, s."""
         return self.data.time
 
     def wait(self, until: float) -> None:
-        """Simulate, and in real time sleep; raises RenetError for physics that went wrong."""
+        """Simulate until a time, and sleep in real time; raises RenetError if physics fail."""
         timestep = self.model.opt.timestep
         for _ in range(round((until - self.data.time) / timestep)):
             self._servos.step()
@@ -98,18 +101,18 @@ class MujocoRobot:
             time.sleep(max(0.0, self._begun + self.data.time - time.monotonic()))
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is nothing to let go of."""
 
-    # For scores and the simulated camera, not for the controller: a robot does not know these.
+    # What follows is for scores and the simulated camera: a real robot does not know it.
 
     @property
     def base_position(self) -> np.ndarray:
-        """[3] m, world."""
+        """[3] position of the base in the world, m."""
         return self.data.qpos[self._base][:3].copy()
 
     @property
     def base_rotation(self) -> np.ndarray:
-        """[3, 3], base to world."""
+        """[3, 3] rotation from base to world."""
         return self.data.body(TRUNK).xmat.reshape(3, 3)
 
     def hide(self, geoms: list[int]) -> None:
@@ -117,9 +120,17 @@ class MujocoRobot:
         self._hidden = geoms
 
     def cast(self, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Distance [R] m from `eye` [3] m along unit vectors [R, 3] to the terrain, inf if none."""
-        model, hidden, count = self.model, self._hidden, len(directions)
-        distance, geoms = np.empty(count), np.empty(count, np.int32)
+        """Cast rays from `eye`, [3] m, along unit vectors [R, 3], in the world frame.
+
+        Returns:
+            Distances to the terrain, [R] m; inf where there is none.
+        """
+        model = self.model
+        hidden = self._hidden
+        count = len(directions)
+        distance = np.empty(count)
+        geoms = np.empty(count, np.int32)
+        # MuJoCo hides geoms from rays by their groups alone.
         groups = model.geom_group[hidden]
         model.geom_group[hidden] = UNSEEN_GROUP
         rays = np.ascontiguousarray(directions).ravel()
@@ -130,10 +141,8 @@ class MujocoRobot:
 
 
 def place(model: mujoco.MjModel, height: float) -> mujoco.MjData:
-    """A simulation at its start, with the trunk level at x = y = 0 and at a height in m.
-
-    MuJoCo may not start it anew by itself: then its clock would jump back.
-    """
+    """Make a simulation at its start, with the trunk level at x = y = 0 and at `height`, m."""
+    # If MuJoCo started an unstable simulation anew by itself, its clock would jump back.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     data = mujoco.MjData(model)
     start = model.jnt_qposadr[model.body(TRUNK).jntadr[0]]
@@ -142,7 +151,7 @@ def place(model: mujoco.MjModel, height: float) -> mujoco.MjData:
 
 
 def check_physics(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Raise RenetError once the simulation has left what numbers can say."""
+    """Raise RenetError once the simulation has become unstable."""
     for kind in UNSTABLE:
         if data.warning[kind].number:
             raise RenetError(

@@ -1,4 +1,4 @@
-"""Scenes for a simulated robot: a plane, a training tile, or anyone's height map or MJCF."""
+"""Scenes of a simulated robot: a plane, a training tile, or the user's height map or MJCF."""
 
 from pathlib import Path
 
@@ -13,11 +13,13 @@ from renet.terrain.own_ground import GroundFile
 from renet.terrain.tiles import TILE, Tile, find_tile
 
 TERRAIN = "terrain"
-"""Body of a tile."""
+"""Name of the body of a tile."""
 FLAT = "flat"
+"""Name of the plane."""
 BORDER = 1000.0
 """Half-width of the ground around a tile, m."""
 GROUND = (0.62, 0.60, 0.56, 1.0)
+"""Colour of the ground, RGBA."""
 
 
 def build_scene(
@@ -29,7 +31,7 @@ def build_scene(
     width: float = TILE,
     height: float = 0.3,
 ) -> tuple[mujoco.MjModel, float]:
-    """The compiled `scene_spec`, and the height in m of the ground at x = y = 0."""
+    """Compile `scene_spec`; returns the model, and the height of the ground at x = y = 0, m."""
     spec, start = scene_spec(terrain, level, file, seed, robot, width, height)
     return spec.compile(), start
 
@@ -43,14 +45,22 @@ def scene_spec(
     width: float = TILE,
     height: float = 0.3,
 ) -> tuple[mujoco.MjSpec, float]:
-    """A scene with a robot in it, and the height in m of the ground it starts on, at x = y = 0.
+    """Make a scene with a robot in it.
 
-    The terrain is flat, or a kind of training tile of a level, 1 to 10, with random parts by
-    `seed`; a `file` replaces it, an MJCF scene, or a height map (see `GroundFile` for its `width`
-    and `height`, m).
+    Args:
+        terrain: `FLAT`, or the name of a training tile.
+        level: Level of the tile, 1 to 10.
+        file: File that replaces the terrain: an MJCF scene or a height map.
+        seed: Seed of the random parts of the terrain.
+        robot: The robot.
+        width: Width of a height map, m, see `GroundFile`.
+        height: Height of white above black in a picture, m.
+
+    Returns:
+        The scene, and the height of the ground at x = y = 0, where the robot starts, m.
 
     Raises:
-        RenetError: unknown terrain or level, or a scene file in which no robot can stand.
+        RenetError: The terrain or level is unknown, or no robot can stand in the file's scene.
     """
     spec = simulation_model(robot)
     spec.worldbody.add_light(type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, dir=(0.3, 0.2, -1))
@@ -72,20 +82,26 @@ def scene_spec(
 
 
 def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[float, float]) -> None:
-    """A slab whose top is at z = 0."""
+    """Add a slab at an x and y, m, with half-widths in m, whose top is at z = 0."""
     box = mujoco.mjtGeom.mjGEOM_BOX
     body.add_geom(type=box, size=(*half, 0.5), pos=(*position, -0.5), rgba=GROUND)
 
 
 def _add_tile(spec: mujoco.MjSpec, tile: Tile, difficulty: float, seed: int) -> float:
-    """A training tile with its middle at the origin, and ground around it."""
+    """Add a training tile with its middle at the origin, and ground around it.
+
+    Returns:
+        Height of the ground at the origin, m.
+    """
     spec.worldbody.add_body(name=TERRAIN)
     built = tile.function(difficulty, spec, np.random.default_rng(seed))
     middle = np.array([TILE / 2, TILE / 2, 0.0])
     for part in built.geometries:
         part.geom.pos = np.asarray(part.geom.pos) - middle
     half = (BORDER - TILE / 2) / 2
-    body, away = spec.body(TERRAIN), TILE / 2 + half
+    body = spec.body(TERRAIN)
+    away = TILE / 2 + half
+    # Four slabs, one on each side of the tile.
     for side in (-1, 1):
         _ground(body, (side * away, 0.0), (half, BORDER))
         _ground(body, (0.0, side * away), (TILE / 2, half))

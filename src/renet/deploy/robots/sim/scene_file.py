@@ -1,6 +1,6 @@
-"""Anyone's MJCF as the ground that a simulated robot walks on, refused where it cannot be that.
+"""The user's MJCF as the ground of a simulated robot, with checks that it can be that.
 
-The file is first tried in a process with limits: it is compiled, looked at, and simulated with the
+The file is first tried in a process with limits: it is compiled, checked, and simulated with the
 robot on it.
 """
 
@@ -21,14 +21,14 @@ from renet.trial import judge, run_trial
 SEEN_GROUP = 0
 """MuJoCo group of the geoms of a scene that a robot can touch."""
 TRIAL_STEPS = 200
-"""Physics steps of the trial, 1 s."""
+"""Number of physics steps of the trial, 1 s."""
 
 
 def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
     """Add an MJCF file's static geoms to a robot's model, whose physics options stay.
 
     Raises:
-        RenetError: the file is not an MJCF that MuJoCo reads, or something in it moves.
+        RenetError: The file is not an MJCF that MuJoCo reads, or something in it moves.
     """
     if file.suffix.lower() != ".xml":
         raise RenetError(
@@ -42,7 +42,9 @@ def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
                 f"its body {scene.joints[0].parent.name!r} moves: give the ground alone, without "
                 "robots or other bodies that have joints"
             )
-        scene.option, scene.memory = spec.option, spec.memory  # MuJoCo warns of any other.
+        # MuJoCo warns of options that differ from those of the robot.
+        scene.option = spec.option
+        scene.memory = spec.memory
         show_what_collides(scene)
         spec.attach(scene, prefix="scene/", frame=spec.worldbody.add_frame())
     except ValueError as error:
@@ -52,8 +54,8 @@ def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
 def show_what_collides(scene: mujoco.MjSpec) -> None:
     """Let a camera see the geoms that a robot can touch, and no others.
 
-    Scenes may hide the shapes that collide in a group that rays pass, or hold others for the eye
-    alone: a robot would walk into what it cannot see, or through what it sees.
+    A scene may hide colliding shapes in a group that rays pass through, or hold shapes for the eye
+    alone. A robot would walk into what it cannot see, or through what it sees.
     """
     for geom in scene.geoms:
         collides = bool(geom.contype & TOUCHED)
@@ -65,14 +67,14 @@ def show_what_collides(scene: mujoco.MjSpec) -> None:
 
 
 def try_scene(file: Path, robot: Robot) -> None:
-    """Raise RenetError unless a robot can stand in a scene, without loading it in this process."""
+    """Raise RenetError unless a robot can stand in a scene, which is not loaded in this process."""
     require_regular(file, MAX_SCENE, "scene")
     arguments = [str(file), simulation_model(robot).to_xml(), str(robot.height)]
     run_trial("renet.deploy.robots.sim.scene_file", arguments, f"cannot use the scene {file}")
 
 
 def _trial() -> str:
-    """What is wrong with the scene that the command line names."""
+    """Try the scene of the command line; returns its problem in a line, empty if it has none."""
     file, mjcf, height = sys.argv[1:]
     spec = mujoco.MjSpec.from_string(mjcf)
     try:

@@ -1,4 +1,4 @@
-"""Joint servos of a robot in C MuJoCo: ideal ones, measured ones, and a network of real ones."""
+"""Joint servos of a robot in C MuJoCo: ideal, measured, or a network of real motors."""
 
 from collections import deque
 
@@ -14,29 +14,30 @@ from renet.motors import MotorFit
 
 
 class Servos:
-    """MuJoCo's own servos, which obey at once and saturate as motors do."""
+    """MuJoCo's own servos, which obey at once, with the limits of the motors' torque."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Take the servos of a scene, each named as the joint that it drives."""
         self.model = model
         self.data = data
         self.ids = np.array([model.actuator(name).id for name in JOINTS])
-        """Their numbers in the order of interface.JOINTS."""
+        """Numbers of the servos in the order of `interface.JOINTS`."""
 
     def write(self, command: JointCommand) -> None:
         """Hand a command over, which holds until the next."""
-        model, servos = self.model, self.ids
+        model = self.model
+        servos = self.ids
         self.data.ctrl[servos] = command.position
         model.actuator_gainprm[servos, 0] = command.stiffness
         model.actuator_biasprm[servos, 1] = -command.stiffness
         model.actuator_biasprm[servos, 2] = -command.damping
 
     def step(self) -> None:
-        """Do what is due before a physics step."""
+        """Do what is due before a physics step: nothing."""
 
 
 class MeasuredServos(Servos):
-    """Servos of a robot whose motors were measured: joints with inertia and friction, late."""
+    """Servos with measured motors: inertia and friction in the joints, and a delay."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, fit: MotorFit) -> None:
         """Change the joints of a scene's model into the measured ones."""
@@ -45,6 +46,7 @@ class MeasuredServos(Servos):
         model.dof_armature[dofs] = fit.array("armature")
         model.dof_damping[dofs] = fit.array("damping")
         model.dof_frictionloss[dofs] = fit.array("friction")
+        # MuJoCo derives other constants of the model from these.
         mujoco.mj_setConst(model, mujoco.MjData(model))
         self._lag = np.round(fit.array("delay") / model.opt.timestep).astype(int)
         self._newest: JointCommand | None = None
@@ -60,7 +62,7 @@ class MeasuredServos(Servos):
         if self._newest is None:
             return
         self._sent.append(self._newest)
-        # Before the first command there was none: until it would arrive, it holds already.
+        # Until the first command would arrive, it holds already, since there was none before.
         arrived = [self._sent[-1 - min(lag, len(self._sent) - 1)] for lag in self._lag]
         joints = range(len(JOINTS))
         super().write(
@@ -73,13 +75,13 @@ class MeasuredServos(Servos):
 
 
 class NetworkServos(Servos):
-    """Motors whose torque a network tells, at its own rate."""
+    """Motors whose torque a network predicts, at its own rate."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, network: MotorNetwork) -> None:
         """Turn a scene's servos into motors that take a torque.
 
         Raises:
-            RenetError: physics steps of another length than the network's samples.
+            RenetError: The physics steps have another length than the network's samples.
         """
         super().__init__(model, data)
         if not np.isclose(model.opt.timestep, PHYSICS_DT):
@@ -94,7 +96,7 @@ class NetworkServos(Servos):
         joints = [model.joint(name) for name in JOINTS]
         self._position = np.array([joint.qposadr[0] for joint in joints])
         self._velocity = np.array([joint.dofadr[0] for joint in joints])
-        # Newest first, as the network is to see them.
+        # Newest first, as the network takes them.
         self._errors = np.zeros((len(JOINTS), SAMPLES))
         self._velocities = np.zeros((len(JOINTS), SAMPLES))
 
@@ -104,7 +106,8 @@ class NetworkServos(Servos):
 
     def step(self) -> None:
         """Take a sample of every joint, and apply the network's torques."""
-        command, network = self._command, self._network
+        command = self._command
+        network = self._network
         if command is None:
             return
         error = self.data.qpos[self._position] - command.position
@@ -119,7 +122,7 @@ class NetworkServos(Servos):
 def make_servos(
     model: mujoco.MjModel, data: mujoco.MjData, motors: MotorModel | None = None
 ) -> Servos:
-    """Make the servos of a scene, with ideal motors by default."""
+    """Make the servos of a scene; motors are ideal by default."""
     if motors is None:
         return Servos(model, data)
     if isinstance(motors, MotorFit):

@@ -1,4 +1,4 @@
-"""The simulated robot in a browser, for `renet deploy --viewer`."""
+"""View of the simulated robot in a browser, for `renet deploy --viewer`."""
 
 from typing import Any
 
@@ -6,26 +6,27 @@ import mujoco
 
 from renet.server import serve_scene
 
-EVERY = 2
-"""Control steps from one picture to the next: 25 pictures a second."""
+_EVERY = 2
+"""Number of control steps from one picture to the next: 25 pictures a second."""
 
 
 class BrowserViewer:
-    """Serves the scene; viser tells the address."""
+    """Server of a scene, whose address viser prints."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, host: str) -> None:
         """Listen at an address of this computer; raises RenetError if mjviser is not installed."""
         server = serve_scene(host)
         import mjviser
 
-        self._data, self._steps = data, 0
+        self._data = data
+        self._steps = 0
         self._scene: Any = mjviser.ViserMujocoScene(server, model, num_envs=1)
         # The robot has no visual meshes: show the shapes it collides with.
         self._scene.geom_groups_visible[3] = True
         self._scene.rebuild_visual_handles()
 
     def show(self) -> None:
-        """Show the newest state, now and then."""
-        if self._steps % EVERY == 0:
+        """Count a control step, and show every second one."""
+        if self._steps % _EVERY == 0:
             self._scene.update_from_mjdata(self._data)
         self._steps += 1
