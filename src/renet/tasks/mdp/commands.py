@@ -368,9 +368,9 @@ class DriveCommand(GoalCommand):
         error = (base_velocity(self._env)[:, :2] - velocity).norm(dim=-1)
         lags = self.free & (self.speed > 0.0) & (error > MAX_LAG * self.speed)
         now = torch.rand_like(error) < dt / self.cfg.kick_interval
-        env_ids = (lags & now).nonzero().flatten()
-        everybody = torch.ones_like(env_ids, dtype=torch.bool)
-        self._kick(env_ids, everybody, self.velocity[env_ids], self.free_turn[env_ids])
+        # Of all robots: to ask which they are would wait for the GPU.
+        env_ids = torch.arange(self.num_envs, device=self.device)
+        self._kick(env_ids, lags & now, self.velocity, self.free_turn)
 
     def _update_command(self, env_ids: Tensor | None) -> None:
         super()._update_command(env_ids)
