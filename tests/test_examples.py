@@ -14,7 +14,8 @@ from renet.bundle import read_manifest, write_bundle, write_manifest
 from renet.bundle.manifest import Manifest
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import RECORDING, deploy
-from renet.deploy.recording.recorder import MODES, read_recording
+from renet.deploy.recording.reader import read_recording
+from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
 from renet.errors import RenetError
 from renet.faults import FAULTS

@@ -180,7 +180,8 @@ def test_a_dry_run_tells_what_moves(served, dry_run, tmp_path, capsys, monkeypat
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
     deploy(dry_run(seconds=3.5, safety=patient))
     shown = capsys.readouterr().out
-    assert "rad: front right, knee folds" in shown
+    # Of a leg that is folded already the thigh alone turns.
+    assert re.search("rad: front right, (knee folds|foot moves back)", shown)
     # Which line is printed depends on when it stood; the gain says that it would have acted.
     assert re.search(r"FR_hip [+-]\d\.\d\d \(Kp 40\)", shown), "what it would have commanded"
     assert all((sent[:, 4:] == 0).all() for sent in served.commands)
