@@ -298,7 +298,9 @@ def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     mouse.move(x, y)
     mouse.down()
     mouse.move(x + 20, y - 30)
-    told_soon(one, "x > 0.6 && y === 0")
+    # Such a policy is told the sine of its heading's error in place of a velocity to the left.
+    told_soon(one, "x > 0.6")
+    assert one.its("driver.velocity")["left"] == 0
     assert one.its("notice") == "", "of the part that it cannot do while it does the other"
     mouse.move(x + 30, y)
     one.until("renetPage.page.notice.includes('cannot walk backward')")

@@ -43,7 +43,8 @@ class TrueState:
     """bool: the episode ended in this step by a fall, judged by the true pose."""
     ended: np.ndarray
     """bool: the episode ended in this step, by a fall, its time limit or its tile's edge. The robot
-    is at its next start already, and the step's velocity is that of the start."""
+    is at its next start already: the step's velocity, power and collisions are of the start. Means
+    are taken over the steps before."""
 
 
 @dataclass(frozen=True)

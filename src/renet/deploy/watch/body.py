@@ -65,6 +65,7 @@ class BodyWatch:
             walking: True while it walks, so that all its joints move.
             estimate: [3] m/s, velocity of the base in its own frame, as the policy estimates it.
         """
+        # A least torque of 0 switches off all that is watched while the robot walks.
         followed = walking and self._cfg.least_torque > 0.0
         # A walk begins: what motors gave while the robot stood up says nothing of it.
         if followed and not self._walking:
