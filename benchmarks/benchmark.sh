@@ -26,6 +26,8 @@ full() { # NAME COMMAND...: keeps the result of all 200 episodes.
 full go1-parkour renet evaluate benchmark --jobs 2 --out
 full oracle python benchmarks/judges.py oracle --study.out
 full oracle_withholds python benchmarks/judges.py oracle --withholds --study.out
+full himloco renet evaluate benchmark --jobs 2 --policy "$models/himloco.pt" --adapter himloco \
+    --method himloco --out
 full robogauge renet evaluate benchmark --jobs 2 --policy "$models/go2_moe_cts_124k.pt" --adapter robogauge \
     --method robogauge --out
 

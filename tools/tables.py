@@ -37,7 +37,13 @@ SWITCHES = (
 )
 """Studies and modes of the table of switches, column by column."""
 LEADERBOARDS = {
-    "Results": ("full/go1-parkour", "full/oracle", "full/oracle_withholds", "full/robogauge"),
+    "Results": (
+        "full/go1-parkour",
+        "full/oracle",
+        "full/oracle_withholds",
+        "full/himloco",
+        "full/robogauge",
+    ),
     "The quick set": ("go1-parkour", "playground", "himloco", "robogauge", "robot-lab"),
 }
 """Result files of the fault benchmark's leaderboards, the reference first, by heading."""
