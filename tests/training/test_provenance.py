@@ -47,6 +47,8 @@ def get(cfg, name: str):
         ("env.sim.nan_guard.output_dir", "/etc"),
         ("env.sim.mujoco.gravity", [0.0, 0.0, -1e30]),
         ("env.viewer.width", 10**9),
+        # As checkpoints of before have it; there are none any more.
+        ("env.scene.entities.robot.collisions", [{"geom_names_expr": [".*"]}]),
     ],
 )
 def test_what_is_not_of_the_policy_stays(registered, stored, name, value):

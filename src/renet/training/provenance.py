@@ -194,7 +194,8 @@ def _restore_sequence(value: Any, stored: list[Any], name: str) -> Any:
     """Copy a list or tuple, with the settings of a stored one (see `restore`)."""
     # Plain items are restored together, and may be more or fewer than before.
     if not any(map(is_dataclass, value)):
-        if is_allowed(stored, name):
+        # Of an empty one nobody knows: a stored group of settings is none of its items.
+        if is_allowed(stored, name) and not any(isinstance(item, dict) for item in stored):
             return type(value)(map(to_tuples, stored))
         return value
     # Dataclasses are restored one by one, if there are as many.
