@@ -15,6 +15,7 @@ import subprocess
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -30,6 +31,11 @@ PARTS = {
         ["selector/monitors.py"],
         ["tests/selector/test_monitors.py", "tests/selector/test_memory.py"],
     ),
+    "calibration": (
+        ["selector/calibration.py"],
+        [f"tests/selector/test_{name}.py" for name in ("calibration", "selector")],
+    ),
+    "np3o": (["training/np3o.py"], ["tests/training/test_np3o.py"]),
     "safety": (
         [f"deploy/safety/{name}.py" for name in ("checks", "limits", "machine")],
         ["tests/deploy/safety/test_safety.py"],
@@ -73,6 +79,8 @@ class Cfg:
     parts: tuple[str, ...] = tuple(PARTS)
     only: tuple[str, ...] = ()
     """Run these mutants of the one part instead, as the results name them."""
+    again: bool = False
+    """Run the survivors in `json` again, with the tests written for them; keeps the first score."""
     skip: str = ""
     """Tests to leave out, as pytest's -k names them: fewer tests, a lower score."""
 
@@ -114,6 +122,14 @@ def mutmut(folder: Path, *names: str) -> dict[str, int | None]:
     return {name: code for codes in metas for name, code in codes.items()}
 
 
+def run_again(folder: Path, result: dict[str, Any]) -> dict[str, Any]:
+    """A part's result after its survivors met the tests of today; its first score is kept."""
+    codes = mutmut(folder, *result["alive"])
+    alive = [name for name in result["alive"] if codes[name] in ALIVE]
+    score = round(1.0 - len(alive) / result["run"], 3)
+    return result | {"score_with_new_tests": score, "alive_with_new_tests": alive}
+
+
 def main(cfg: Cfg) -> None:
     results = json.loads(cfg.json.read_text()) if cfg.json and cfg.json.exists() else {}
     for part in cfg.parts:
@@ -121,6 +137,11 @@ def main(cfg: Cfg) -> None:
         if cfg.only:
             codes = mutmut(folder, *cfg.only)
             print({name: codes[name] for name in cfg.only})
+            continue
+        if cfg.again:
+            if results[part]["alive"]:
+                results[part] = run_again(folder, results[part])
+                report({name: results[name] for name in PARTS if name in results}, cfg.json)
             continue
         codes = mutmut(folder)
         names = sorted(codes)
