@@ -26,7 +26,7 @@ PARTS = {
     "files": (["files.py", "folders.py"], ["tests/test_files.py", "tests/test_folders.py"]),
     "models": (["bundle/graph.py"], ["tests/bundle/test_graph.py"]),
     "selector": (["selector/*.py"], ["tests/selector"]),
-    "pilot": (["pilot/*.py"], ["tests/pilot"]),
+    "pilot": (["pilot/*.py"], ["tests/pilot", "tests/deploy/test_inference.py"]),
     "gate": (
         ["selector/monitors.py"],
         ["tests/selector/test_monitors.py", "tests/selector/test_memory.py"],
@@ -35,7 +35,13 @@ PARTS = {
         ["selector/calibration.py"],
         [f"tests/selector/test_{name}.py" for name in ("calibration", "selector")],
     ),
-    "np3o": (["training/np3o.py"], ["tests/training/test_np3o.py"]),
+    "np3o": (
+        ["training/np3o.py"],
+        [
+            "tests/training/test_np3o.py",
+            "tests/training/test_precision.py::test_policy_update_never_waits",
+        ],
+    ),
     "safety": (
         [f"deploy/safety/{name}.py" for name in ("checks", "limits", "machine")],
         ["tests/deploy/safety/test_safety.py"],
