@@ -128,12 +128,36 @@ def mutmut(folder: Path, *names: str) -> dict[str, int | None]:
     return {name: code for codes in metas for name, code in codes.items()}
 
 
-def run_again(folder: Path, result: dict[str, Any]) -> dict[str, Any]:
-    """A part's result after its survivors met the tests of today; its first score is kept."""
+def draw(folder: Path, part: str, cfg: Cfg) -> dict[str, Any]:
+    """Result of a sample of a part's mutants."""
+    codes = mutmut(folder)
+    names = sorted(codes)
+    chosen = random.Random(f"{cfg.seed} {part}").sample(names, min(cfg.sample, len(names)))
+    rest = [name for name in chosen if codes[name] is None]
+    codes = mutmut(folder, *rest) if rest else codes
+    alive = sorted(name for name in chosen if codes[name] in ALIVE)
+    return {
+        "mutants": len(names),
+        "run": len(chosen),
+        "seed": cfg.seed,
+        "score": round(1.0 - len(alive) / len(chosen), 3),
+        "ended_by_time": sum(codes[name] not in (*ALIVE, *KILLED) for name in chosen),
+        "tests_left_out": cfg.skip,
+        "alive": alive,
+        "date": date.today().isoformat(),
+    }
+
+
+def run_again(folder: Path, result: dict[str, Any], cfg: Cfg) -> dict[str, Any]:
+    """Outcome of a result's survivors with the tests of today; the others were noticed before."""
     codes = mutmut(folder, *result["alive"])
     alive = [name for name in result["alive"] if codes[name] in ALIVE]
-    score = round(1.0 - len(alive) / result["run"], 3)
-    return result | {"score_with_new_tests": score, "alive_with_new_tests": alive}
+    return {
+        "score": round(1.0 - len(alive) / result["run"], 3),
+        "tests_left_out": cfg.skip,
+        "alive": alive,
+        "date": date.today().isoformat(),
+    }
 
 
 def main(cfg: Cfg) -> None:
@@ -144,27 +168,10 @@ def main(cfg: Cfg) -> None:
             codes = mutmut(folder, *cfg.only)
             print({name: codes[name] for name in cfg.only})
             continue
-        if cfg.again:
-            if results[part]["alive"]:
-                results[part] = run_again(folder, results[part])
-                report({name: results[name] for name in PARTS if name in results}, cfg.json)
-            continue
-        codes = mutmut(folder)
-        names = sorted(codes)
-        chosen = random.Random(f"{cfg.seed} {part}").sample(names, min(cfg.sample, len(names)))
-        rest = [name for name in chosen if codes[name] is None]
-        codes = mutmut(folder, *rest) if rest else codes
-        alive = sorted(name for name in chosen if codes[name] in ALIVE)
-        results[part] = {
-            "mutants": len(names),
-            "run": len(chosen),
-            "seed": cfg.seed,
-            "score": round(1.0 - len(alive) / len(chosen), 3),
-            "ended_by_time": sum(codes[name] not in (*ALIVE, *KILLED) for name in chosen),
-            "tests_left_out": cfg.skip,
-            "alive": alive,
-            "date": date.today().isoformat(),
-        }
+        if not cfg.again:
+            results[part] = draw(folder, part, cfg)
+        elif results[part]["alive"]:
+            results[part]["again"] = run_again(folder, results[part], cfg)
         report({name: results[name] for name in PARTS if name in results}, cfg.json)
 
 
