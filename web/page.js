@@ -41,8 +41,9 @@ export class Page {
     if (scene.unknown.length) this.notify(`The link asks for ${scene.unknown.join(" and ")}: not here.`);
     const { contract, manifest, bundle } = runtime;
     const { bundles, palette } = contract;
-    for (const [state, { colour }] of Object.entries(palette)) {
-      document.documentElement.style.setProperty(`--${state}`, colour);
+    for (const [name, { colour, ink }] of Object.entries(palette)) {
+      document.documentElement.style.setProperty(`--${name}`, colour);
+      document.documentElement.style.setProperty(`--on-${name}`, ink);
     }
     const slots = [...document.querySelectorAll(".slot")];
     this.panels = scene.modes.map((mode, n) => {
