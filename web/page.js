@@ -2,6 +2,7 @@
 
 import { Controls } from "./panel/controls.js";
 import { Driver, SHOW } from "./panel/driver.js";
+import { Gamepad } from "./panel/gamepad.js";
 import { bundleLink, sceneLink } from "./panel/link.js";
 import { Pad } from "./panel/pad.js";
 import { Panel } from "./panel/panel.js";
@@ -62,6 +63,7 @@ export class Page {
     $("#refusal").textContent = allRound ? "" : asSentence(contract.steering.forwardOnly);
     $("#chosen").hidden = bundle.opening.left !== "switch";
     this.pad = new Pad($("#go"), $("#turn"), this.driver);
+    this.gamepad = new Gamepad(this.driver, (words) => this.notify(words));
     $("#severity").value = scene.severity;
     this.controls = new Controls(this);
     this.addFaults(contract.faults);
@@ -245,6 +247,7 @@ export class Page {
 
   /** One control step of all robots. */
   async step() {
+    this.gamepad.read();
     const { velocity } = this.driver;
     if (this.pending && this.due) {
       this.pending = false;

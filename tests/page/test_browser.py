@@ -273,6 +273,51 @@ def test_a_visitor_drives_all_round_by_the_pad(visit, twist_address, size):
     told_soon(one, "x === 0 && y === 0 && z === 0")
 
 
+GAMEPAD = """navigator.getGamepads = () => [null, renetPad];
+globalThis.renetPad = { mapping: "standard", axes: [0, 0, 0, 0], buttons: [] };
+for (let n = 0; n < 17; n += 1) renetPad.buttons.push({ pressed: false, value: 0 }); 0"""
+"""Answers in the browser's place, as its Gamepad API does for an Xbox pad in the second port."""
+
+
+def plug_in(one: Visit, mapping: str) -> None:
+    one.ask(
+        f"""{{ const event = new Event("gamepadconnected");
+        event.gamepad = {{ mapping: "{mapping}" }};
+        dispatchEvent(event); }} 0"""
+    )
+
+
+def test_a_visitor_drives_all_round_by_a_gamepad(visit, twist_address):
+    one = visit("?ground=flat&fault=none", at=twist_address).load(WALKS)
+    one.ask(STAND)
+    one.ask(GAMEPAD)
+    plug_in(one, "")
+    one.until("document.querySelector('#message').textContent.includes('does not know')")
+    plug_in(one, "standard")
+    one.until("document.querySelector('#message').textContent.includes('left stick goes')")
+    one.ask("renetPad.axes = [0.05, -0.05, 0.05, 0]")  # Sticks are never quite in the middle.
+    begun = one.its("now")
+    one.until(f"renetPage.page.now > {begun} + 0.1")
+    assert not one.its("driver.driven")
+    for axes, condition in (
+        ([0, -1, 0, 0], "Math.abs(x - 1) < 1e-6 && y === 0"),
+        ([0, 0.5, 0, 0], "Math.abs(x + 0.3) < 1e-6"),
+        ([-1, 0, 0, 0], "y > 0.49 && x === 0"),
+        ([1, 0, 0, 0], "y < -0.49"),
+        ([0, 0, -1, 0], "z > 0.99 && y === 0"),
+        ([0, 0, 1, 0], "z < -0.99 && x === 0"),
+        ([0, 0, 0, 1], "x === 0 && y === 0 && z === 0"),
+    ):
+        one.ask(f"renetPad.axes = {axes}")
+        told_soon(one, condition)
+        one.ask("renetPad.axes = [0, 0, 0, 0]")
+        told_soon(one, "x === 0 && y === 0 && z === 0")
+    one.press("w")
+    told_soon(one, "x > 0")
+    one.ask("renetPad.buttons[1].pressed = true")
+    told_soon(one, "x === 0 && y === 0 && z === 0")
+
+
 def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     one = visit("?ground=flat&fault=none").load(WALKS)
     assert one.page.locator("#go i").filter(visible=True).all_text_contents() == ["▲"]
@@ -305,6 +350,12 @@ def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     mouse.move(x + 30, y)
     one.until("renetPage.page.notice.includes('cannot walk backward')")
     mouse.up()
+
+    one.ask("renetPage.page.notice = ''")
+    one.ask(GAMEPAD)
+    one.ask("renetPad.axes = [-1, 0, 0, 0]")
+    one.until("renetPage.page.notice.includes('cannot walk backward')")
+    assert one.its("driver.velocity") == {"forward": 0, "left": 0, "turnRate": 0}
 
 
 def test_ground_lies_all_round_and_robots_that_fell_are_put_back(visit):
