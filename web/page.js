@@ -196,6 +196,8 @@ export class Page {
     const fault = index === null ? null : this.runtime.contract.faults[index];
     this.scene.fault = fault;
     this.pending = false;
+    // What was to be read until now is out of date.
+    this.notice = "";
     this.apply(fault);
   }
 

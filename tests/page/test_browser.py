@@ -26,6 +26,8 @@ PARTS = (
     "#turn",
 )
 """What is laid over the stage, and must not lie upon each other."""
+NEWS = ("#message", "#verdict", ".state span:not(:empty)")
+"""What comes and goes there."""
 
 
 class Visit:
@@ -57,6 +59,23 @@ class Visit:
         """Point of an element, px, at shares of its width and height."""
         box = self.page.locator(selector).bounding_box()
         return box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
+
+    def demand_order(self, parts: tuple[str, ...]) -> None:
+        """Fail where visible parts lie upon each other, or beyond the sides of the window."""
+        boxes = {}
+        for part in parts:
+            for number, place in enumerate(self.page.locator(part).filter(visible=True).all()):
+                boxes[f"{part} {number}"] = place.bounding_box()
+        assert len(boxes) >= 8
+        for (first, a), (second, b) in combinations(boxes.items(), 2):
+            across = min(a["x"] + a["width"], b["x"] + b["width"]) - max(a["x"], b["x"])
+            down = min(a["y"] + a["height"], b["y"] + b["height"]) - max(a["y"], b["y"])
+            assert min(across, down) <= 0.5, f"{first} lies upon {second}"
+        size = self.page.viewport_size
+        for part, box in boxes.items():
+            assert 0 <= box["x"] <= box["x"] + box["width"] <= size["width"] + 0.5, part
+            assert 0 <= box["y"] <= box["y"] + box["height"] <= size["height"] + 0.5, part
+        assert self.ask("document.documentElement.scrollWidth") <= size["width"]
 
     def tap(self, place: tuple[float, float]) -> None:
         """Tap with a finger on a phone, click elsewhere; at once, for robots walk on."""
@@ -153,9 +172,11 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
     one.tap(ahead)
     one.until("document.querySelector('#asked').textContent === '1.00 m/s ahead'")
     one.until("renetPage.page.pace === 0")
+    one.demand_order((*PARTS, *NEWS))
     one.tap(noise)
     one.ask("delete renetPage.page.pace")
     one.until("document.querySelector('#verdict').textContent")
+    one.demand_order((*PARTS, *NEWS))
     assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
     assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")
     assert one.its("driver.driven"), "and still drives"
@@ -461,19 +482,7 @@ def test_first_picture_is_the_golden_one(visit, name):
     if name == "hood":
         one.press("i")
     else:
-        boxes = {
-            f"{part} {number}": place.bounding_box()
-            for part in PARTS
-            for number, place in enumerate(one.page.locator(part).filter(visible=True).all())
-        }
-        assert len(boxes) >= 8
-        for (first, a), (second, b) in combinations(boxes.items(), 2):
-            across = min(a["x"] + a["width"], b["x"] + b["width"]) - max(a["x"], b["x"])
-            down = min(a["y"] + a["height"], b["y"] + b["height"]) - max(a["y"], b["y"])
-            assert min(across, down) <= 0.5, f"{first} lies upon {second}"
-        for part, box in boxes.items():
-            assert 0 <= box["x"] <= box["x"] + box["width"] <= size["width"] + 0.5, part
-    assert one.ask("document.documentElement.scrollWidth") <= size["width"]
+        one.demand_order(PARTS)
     compare(one.page.screenshot(), Path(__file__).with_name("golden") / f"{name}.png")
 
 
