@@ -75,6 +75,7 @@ export class Page {
     for (const button of ["#explain", "#close"]) $(button).addEventListener("click", () => this.explain());
     $("#about").textContent =
       `Bundle ${bundle.name} (${bundle.robot}) of ${manifest.provenance.date}, renet ${contract.renet}. ` +
+      (manifest.selector.healthy_hours === 0 ? "Its monitors are not calibrated to its images. " : "") +
       "Physics: MuJoCo. Models: ONNX Runtime. Drawing: three.js, uPlot. Nothing leaves this page.";
     this.start();
   }
