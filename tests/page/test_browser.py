@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from renet.interface import LEGS, TRUNK
+from renet.palette import UNSEEN, UNSEEN_AHEAD, rgb
 from renet.robots import GO2
 from tests.browser import compare, open_browser, watch
 from tests.page.conftest import served
@@ -150,6 +151,11 @@ def test_every_opening_shows_the_difference(visit, robot):
         assert crossed == "Memory leapt the gap from memory."
         left, right = one.page.locator(".outcome").all_text_contents()
         assert (left[:10], right[:13]) == ("Fell after", "Leapt the gap")
+        # Beyond the gap is ground that it has never seen.
+        assert one.page.locator(".ahead").all_text_contents() == ["", UNSEEN_AHEAD]
+        colours = one.its("Array.from(view.robots[1].map.instanceColor.array)")
+        dots = 255 * np.reshape(colours, (-1, 3))
+        assert (np.abs(dots - rgb(UNSEEN)).max(axis=1) < 1).mean() > 0.5
         one.until("!document.querySelector('#verdict').textContent")
 
 
