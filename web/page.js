@@ -214,7 +214,8 @@ export class Page {
   /** Press the buttons of what is, and keep the address up to date. */
   show() {
     const { faults } = this.runtime.contract;
-    const { fault, severity } = this.scene;
+    const { fault, severity, modes } = this.scene;
+    $("#pitch").textContent = `Both cameras break${pitch(modes)}`;
     this.tiles.forEach((button, n) => {
       press(button, faults[n] === this.broken);
       button.classList.toggle("pending", this.pending && faults[n] === fault);
@@ -304,6 +305,13 @@ export class Page {
     if (this.broken && this.now < this.story.onset + 3) return "Both cameras just failed.";
     return "";
   }
+}
+
+/** What is to be seen of two robots of these modes. */
+function pitch([left, right]) {
+  if (left === right) return ".";
+  if (right === "memory") return "; the right robot remembers.";
+  return left === "memory" ? "; the left robot remembers." : ": who stays up?";
 }
 
 function fillSelect(select, choices, onChange) {

@@ -152,8 +152,8 @@ def test_every_opening_shows_the_difference(visit, robot):
         left, right = one.page.locator(".outcome").all_text_contents()
         assert (left[:10], right[:13]) == ("Fell after", "Leapt the gap")
         # Beyond the gap is ground that it has never seen.
-        assert one.page.locator(".ahead").all_text_contents() == ["", UNSEEN_AHEAD]
-        colours = one.its("Array.from(view.robots[1].map.instanceColor.array)")
+        assert one.page.locator(".state .ahead").all_text_contents() == ["", UNSEEN_AHEAD]
+        colours = one.ask("Array.from(renetPage.page.view.robots[1].map.instanceColor.array)")
         dots = 255 * np.reshape(colours, (-1, 3))
         assert (np.abs(dots - rgb(UNSEEN)).max(axis=1) < 1).mean() > 0.5
         one.until("!document.querySelector('#verdict').textContent")
@@ -190,6 +190,7 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
 
 def test_every_control_answers_to_keys(visit):
     one = visit("?ground=flat&fault=none").load()
+    assert one.page.text_content("#pitch").endswith("the right robot remembers.")
     one.press("2", "-")
     fault = one.its("simulations.map(({ camera: { fault } }) => [fault.name, fault.severity])")
     assert fault == [["gaussian", 4]] * 2
@@ -204,6 +205,8 @@ def test_every_control_answers_to_keys(visit):
         one.press("m")
         assert one.its("simulations[1].controller.mode") == mode
         assert f"right={mode}" in one.page.url
+        # The left robot is in the mode switch.
+        assert "remembers" not in one.page.text_content("#pitch")
     one.press("i")
     assert one.page.locator("#hood").is_visible()
     one.until("renetPage.page.panels[1].curves.points.length > 3")
