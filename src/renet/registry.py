@@ -11,7 +11,7 @@ from renet.training.config import RenetRunnerCfg
 from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
 
-ROBOTS = 4096 if torch.cuda.is_available() else 512
+NUM_ENVS = 4096 if torch.cuda.is_available() else 512
 """The paper's number of robots on a GPU, and one that a CPU steps as fast as any."""
 
 
@@ -40,7 +40,7 @@ def register_task(
     runner: type[RenetRunner] = RenetRunner,
 ) -> None:
     """Register a task by its id: what is trained in, what is evaluated in, how, and by what."""
-    env.scene.num_envs = ROBOTS
+    env.scene.num_envs = NUM_ENVS
     agent.experiment_name = agent.task = task
     register_mjlab_task(task, env, play, agent, runner)
 
