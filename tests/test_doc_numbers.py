@@ -36,13 +36,13 @@ def test_row_of_table_1(path):
     passed = {kind: 0 for kind in ("gap", "platform", "stairs")}
     for run in row["runs"]:
         passed[run["kind"].split("_")[0]] += run["passed"]
-    shown = next(line for line in cells("results.md", "Table I") if line[0] == title)
+    shown = next(line for line in cells("../benchmarks/NOTES.md", "Table I") if line[0] == title)
     assert [int(n.strip("*")) for n in shown[1:4]] == list(passed.values())
     assert float(shown[4].strip("*")) == pytest.approx(row["collisions"], abs=0.00501)
 
 
 def test_bold_cells_of_table_1_lie_outside_its_prediction_intervals():
-    lines = [line for line in cells("results.md", "Table I") if len(line) == 5][1:]
+    lines = [line for line in cells("../benchmarks/NOTES.md", "Table I") if len(line) == 5][1:]
     seeds, others = lines[:4], {line[0]: line[1:] for line in lines[5:]}
     for column in range(1, 5):
         values = [float(line[column]) for line in seeds]
