@@ -191,23 +191,23 @@ def go2(label: str) -> list[str]:
 
 
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
-    ("results.md", "Obstacles"): one_try,
-    ("results.md", "Single faults"): crossed,
-    ("results.md", "Grass"): grass,
-    ("results.md", "Other switches"): switches,
-    ("results.md", "Standing"): standing,
-    ("memory.md", "Where memory ends"): reach,
-    ("memory.md", "Measure it"): black,
-    ("results.md", "Go2, one try"): go2,
-    ("results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),
-    ("results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
-    ("benchmark.md", "Results"): None,
-    ("benchmark.md", "Loud faults and lies"): loudness,
-    ("benchmark.md", "The quick set"): None,
-    ("benchmark.md", "The kilometre"): kilometre,
-    ("benchmark.md", "Where they fall"): sections,
+    ("docs/results.md", "Obstacles"): one_try,
+    ("docs/results.md", "Single faults"): crossed,
+    ("docs/results.md", "Grass"): grass,
+    ("docs/results.md", "Other switches"): switches,
+    ("docs/results.md", "Standing"): standing,
+    ("docs/memory.md", "Where memory ends"): reach,
+    ("docs/memory.md", "Measure it"): black,
+    ("docs/results.md", "Go2, one try"): go2,
+    ("docs/results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),
+    ("docs/results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
+    ("docs/benchmark.md", "Results"): None,
+    ("docs/benchmark.md", "Loud faults and lies"): loudness,
+    ("docs/benchmark.md", "The quick set"): None,
+    ("benchmarks/NOTES.md", "The kilometre"): kilometre,
+    ("benchmarks/NOTES.md", "Where they fall"): sections,
 }
-"""What fills the cells of a row, given its first one, by page and heading; the first table counts.
+"""What fills the cells of a row, given its first one, by file and heading; the first table counts.
 None: a leaderboard, whose rows are all new."""
 
 
@@ -229,14 +229,14 @@ def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = No
     return "\n".join([*text[:top], *(f"| {' | '.join(row)} |" for row in rows), *text[end:]])
 
 
-def main(arguments: list[str], docs: Path = ROOT / "docs") -> int:
+def main(arguments: list[str], root: Path = ROOT) -> int:
     """Compare or fill; 1 if a page differs from its results and is not to be filled."""
     wrong = 0
     for (name, heading), fill in TABLES.items():
-        page = (docs / name).read_text()
+        page = (root / name).read_text()
         new = filled(page, heading, fill)
         if "--fill" in arguments:
-            (docs / name).write_text(new)
+            (root / name).write_text(new)
         elif new != page:
             print(f"{name}, {heading}: other numbers than its results; run tools/tables.py --fill")
             wrong = 1
