@@ -203,7 +203,7 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("docs/results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
     ("docs/benchmark.md", "Results"): None,
     ("docs/benchmark.md", "Loud faults and lies"): loudness,
-    ("docs/benchmark.md", "The quick set"): None,
+    ("benchmarks/NOTES.md", "The quick set"): None,
     ("benchmarks/NOTES.md", "The kilometre"): kilometre,
     ("benchmarks/NOTES.md", "Where they fall"): sections,
 }
