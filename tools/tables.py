@@ -65,7 +65,7 @@ def mean(study: str, mode: str, grounds: tuple[str, ...], measure: str = "crosse
     return f"{100 * np.mean(shares):.1f}"
 
 
-def crossed(label: str, study: str = "severity_5") -> list[str]:
+def crossed(label: str, study: str) -> list[str]:
     """Modes camera, memory and blind under single faults, per cent, by ground, and the lead."""
     grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
     means = [mean(study, mode, grounds) for mode in ("camera", "memory", "blind")]
@@ -192,7 +192,6 @@ def go2(label: str) -> list[str]:
 
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("docs/results.md", "Obstacles"): one_try,
-    ("docs/results.md", "Single faults"): crossed,
     ("docs/results.md", "Grass"): grass,
     ("docs/results.md", "Other switches"): switches,
     ("docs/results.md", "Standing"): standing,
