@@ -2,7 +2,7 @@
 
 import pytest
 
-from renet.palette import STATES, UNSEEN, ink, luminance
+from renet.palette import STATES, UNSEEN_COLOUR, ink, luminance
 
 
 def contrast(one: str, other: str) -> float:
@@ -18,6 +18,6 @@ def test_contrast_is_that_of_the_guidelines():
     assert contrast("#595959", "#ffffff") == pytest.approx(7.0, abs=0.005)
 
 
-@pytest.mark.parametrize("colour", [*(colour for colour, _ in STATES.values()), UNSEEN])
+@pytest.mark.parametrize("colour", [*(colour for colour, _ in STATES.values()), UNSEEN_COLOUR])
 def test_text_on_every_colour_can_be_read(colour):
     assert contrast(colour, ink(colour)) >= 4.5

@@ -1,23 +1,21 @@
 """Colours of a robot's three states, and of ground that it has not seen.
 
-Timelines, films, figures and the page share them.
-
-They are from Okabe and Ito's set, which colour-blind people can tell apart.
+Timelines, films, figures and the page share them. They are from Okabe and Ito's set, which colour-blind people can tell apart.
 """
 
-SEES = "#0072b2"
+SEES_COLOUR = "#0072b2"
 """Colour of a robot that VP drives with images."""
-REMEMBERS = "#e69f00"
+REMEMBERS_COLOUR = "#e69f00"
 """Colour of a robot that VP drives from memory."""
-BLIND = "#8c4a8c"
+BLIND_COLOUR = "#8c4a8c"
 """Colour of a robot that OP drives."""
 STATES = {
-    "sees": (SEES, "sees (VP)"),
-    "remembers": (REMEMBERS, "remembers (VP)"),
-    "blind": (BLIND, "blind (OP)"),
+    "sees": (SEES_COLOUR, "sees (VP)"),
+    "remembers": (REMEMBERS_COLOUR, "remembers (VP)"),
+    "blind": (BLIND_COLOUR, "blind (OP)"),
 }
 """Colour and legend of each state."""
-UNSEEN = "#d55e00"
+UNSEEN_COLOUR = "#d55e00"
 """Colour of ground that a robot without images has not seen."""
 UNSEEN_AHEAD = "unseen ahead"
 """Words on a robot whose command leads to such ground."""

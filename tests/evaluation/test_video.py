@@ -12,7 +12,7 @@ from renet.evaluation import painter
 from renet.evaluation.trace import Film, Trace
 from renet.evaluation.video import film
 from renet.interface import HEIGHT_MAP_SIZE, MAP_HEIGHT
-from renet.palette import REMEMBERS, UNSEEN, rgb
+from renet.palette import REMEMBERS_COLOUR, UNSEEN_COLOUR, rgb
 
 from .fakes import SCENE
 
@@ -66,16 +66,16 @@ def count(picture: np.ndarray, colour: str) -> tuple[int, int]:
 def test_unseen_ground_has_a_colour_of_its_own(picture, tmp_path):
     everything = np.ones(HEIGHT_MAP_SIZE, bool)
     seen = picture(remembering(everything, unseen=False), tmp_path)
-    assert count(seen, REMEMBERS)[0] > 1000
-    assert count(seen, UNSEEN) == (0, 0)
+    assert count(seen, REMEMBERS_COLOUR)[0] > 1000
+    assert count(seen, UNSEEN_COLOUR) == (0, 0)
 
     nothing = picture(remembering(~everything, unseen=False), tmp_path)
-    assert count(nothing, UNSEEN)[0] >= count(seen, REMEMBERS)[0]
-    assert count(nothing, REMEMBERS)[0] == 0
+    assert count(nothing, UNSEEN_COLOUR)[0] >= count(seen, REMEMBERS_COLOUR)[0]
+    assert count(nothing, REMEMBERS_COLOUR)[0] == 0
 
 
 def test_a_robot_that_walks_towards_it_says_so(picture, tmp_path):
     everything = np.ones(HEIGHT_MAP_SIZE, bool)
-    ground, words = count(picture(remembering(everything, unseen=True), tmp_path), UNSEEN)
+    ground, words = count(picture(remembering(everything, unseen=True), tmp_path), UNSEEN_COLOUR)
     assert ground == 0
     assert words > 1000

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from renet.interface import LEGS, TRUNK
-from renet.palette import UNSEEN, UNSEEN_AHEAD, rgb
+from renet.palette import UNSEEN_COLOUR, UNSEEN_AHEAD, rgb
 from renet.robots import GO2
 from tests.browser import compare, open_browser, watch
 from tests.page.conftest import served
@@ -155,7 +155,7 @@ def test_every_opening_shows_the_difference(visit, robot):
         assert one.page.locator(".state .ahead").all_text_contents() == ["", UNSEEN_AHEAD]
         colours = one.ask("Array.from(renetPage.page.view.robots[1].map.instanceColor.array)")
         dots = 255 * np.reshape(colours, (-1, 3))
-        assert (np.abs(dots - rgb(UNSEEN)).max(axis=1) < 1).mean() > 0.5
+        assert (np.abs(dots - rgb(UNSEEN_COLOUR)).max(axis=1) < 1).mean() > 0.5
         one.until("!document.querySelector('#verdict').textContent")
 
 

@@ -14,7 +14,7 @@ from renet.evaluation.painter import Painter, View
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT, STEPS_PER_TICK
-from renet.palette import STATES, UNSEEN, UNSEEN_AHEAD, ink, rgb
+from renet.palette import STATES, UNSEEN_COLOUR, UNSEEN_AHEAD, ink, rgb
 from renet.terminal import progress
 
 _font = ImageFont.load_default
@@ -134,7 +134,7 @@ def _draw_map(
     points = pose[:3] + Rotation.from_euler("z", yaw).apply(grid)
     error = np.abs(points[:, 2] - painter.heights(points)) / _BLACK_ERROR
     colours = np.array(rgb(STATES[state][0])) * (1 - np.clip(error, 0, 1))[:, None]
-    colours[~film.maps_seen[tick, robot]] = rgb(UNSEEN)
+    colours[~film.maps_seen[tick, robot]] = rgb(UNSEEN_COLOUR)
     draw = ImageDraw.Draw(image)
     ground = view.ground
     for (x, y, scale), colour in zip(view.pixels(points), colours.astype(int), strict=True):
@@ -162,8 +162,8 @@ def _stamp(image: Image.Image, trace: Trace, step: int, robot: int, title: str, 
     draw.text((width - 8, 4), state, ink(STATES[state][0]), font=_font(14), anchor="ra")
     # Below it on the left: the robot walks towards ground that it has not seen.
     if trace.unseen[step, robot]:
-        draw.rectangle((0, height - 46, 108, height - 22), fill=UNSEEN)
-        draw.text((8, height - 42), UNSEEN_AHEAD, ink(UNSEEN), font=_font(14))
+        draw.rectangle((0, height - 46, 108, height - 22), fill=UNSEEN_COLOUR)
+        draw.text((8, height - 42), UNSEEN_AHEAD, ink(UNSEEN_COLOUR), font=_font(14))
     # Depth image with a frame that is red while the camera fails.
     depth = Image.fromarray(trace.film.images[step // STEPS_PER_TICK, robot])
     camera, camera_colour = (fault, _RED) if failing else ("camera healthy", _GREEN)

@@ -20,7 +20,7 @@ from renet.deploy.steering import FORWARD_ONLY, MAX_LEAD
 from renet.deploy.teleop import KEYS, STAND_KEY
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
-from renet.palette import STATES, UNSEEN, UNSEEN_AHEAD, ink
+from renet.palette import STATES, UNSEEN_COLOUR, UNSEEN_AHEAD, ink
 from renet.pilot import PILOT_MODES
 from renet.pilot.reach import DISTANCE, HALF_WIDTH, STOPPING_MARGIN
 from renet.robots import Robot, find_robot
@@ -99,7 +99,7 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
 
 def _palette() -> dict[str, dict[str, str]]:
     """Colour, colour of text on it, and words of each state and of ground that was not seen."""
-    entries = STATES | {"unseen": (UNSEEN, UNSEEN_AHEAD)}
+    entries = STATES | {"unseen": (UNSEEN_COLOUR, UNSEEN_AHEAD)}
     palette = {}
     for name, (colour, says) in entries.items():
         palette[name] = {"colour": colour, "ink": ink(colour), "says": says}
