@@ -1,6 +1,7 @@
 """Colours of a robot's three states, and of ground that it has not seen.
 
-Timelines, films, figures and the page share them. They are from Okabe and Ito's set, which colour-blind people can tell apart.
+Timelines, films, figures and the page share them. They are from Okabe and Ito's set, which
+colour-blind people can tell apart.
 """
 
 SEES_COLOUR = "#0072b2"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from renet.interface import LEGS, TRUNK
-from renet.palette import UNSEEN_COLOUR, UNSEEN_AHEAD, rgb
+from renet.palette import UNSEEN_AHEAD, UNSEEN_COLOUR, rgb
 from renet.robots import GO2
 from tests.browser import compare, open_browser, watch
 from tests.page.conftest import served

@@ -14,7 +14,7 @@ from renet.evaluation.painter import Painter, View
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT, STEPS_PER_TICK
-from renet.palette import STATES, UNSEEN_COLOUR, UNSEEN_AHEAD, ink, rgb
+from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink, rgb
 from renet.terminal import progress
 
 _font = ImageFont.load_default

@@ -20,7 +20,7 @@ from renet.deploy.steering import FORWARD_ONLY, MAX_LEAD
 from renet.deploy.teleop import KEYS, STAND_KEY
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
-from renet.palette import STATES, UNSEEN_COLOUR, UNSEEN_AHEAD, ink
+from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink
 from renet.pilot import PILOT_MODES
 from renet.pilot.reach import DISTANCE, HALF_WIDTH, STOPPING_MARGIN
 from renet.robots import Robot, find_robot
