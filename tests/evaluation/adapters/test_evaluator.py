@@ -76,6 +76,73 @@ def test_an_adapter_of_ones_own(tmp_path):
     assert evaluator.robot.damping == 1.0
 
 
+WIDE = """
+<ir_version: 8, opset_import: ["" : 17]>
+wide (float[N, 12] x) => (float[N, 8] y)
+{
+    starts = Constant <value_ints = [0]> ()
+    ends = Constant <value_ints = [8]> ()
+    axes = Constant <value_ints = [1]> ()
+    y = Slice (x, starts, ends, axes)
+}
+"""
+
+
+@pytest.fixture
+def eight(tmp_path):
+    """A model with eight outputs."""
+    onnx.save(onnx.parser.parse_model(WIDE), tmp_path / "eight.onnx")
+    return tmp_path / "eight.onnx"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            "senses.joint_position + self.model.run(senses.joint_position)[0]",
+            r"^adapter mine\.py, line 6, fails with eight\.onnx, whose last run had"
+            r" inputs \[1, 12\], outputs \[1, 8\]: ValueError: operands could not be broadcast",
+        ),
+        (
+            "self.model.run(senses.joint_position)[0]",
+            r"mine with eight\.onnx gives joint targets of shape \[1, 8\]: \[1, 12\] finite",
+        ),
+        (
+            "senses.joint_position * float('nan')",
+            r"gives joint targets that are not finite: \[1, 12\]",
+        ),
+        ("senses.nothing", r"line 6, fails with eight\.onnx: AttributeError: "),
+        ("'text'", r"^adapter mine\.py fails with eight\.onnx: ValueError: could not convert"),
+    ],
+)
+def test_an_adapter_that_fails_is_told_in_one_line(tmp_path, eight, line, message):
+    (tmp_path / "mine.py").write_text(OWN[: OWN.index("return")] + f"return {line}\n")
+    with pytest.raises(RenetError, match=message) as error:
+        AdaptedEvaluator(eight, str(tmp_path / "mine.py"))
+    assert "\n" not in str(error.value)
+
+
+def test_an_adapter_that_fails_later_is_told_and_ctrl_c_is_not_swallowed(still, monkeypatch):
+    policy = AdaptedEvaluator(still, "onnx-depth").make_policy(2)
+
+    def act(error):
+        def fail(*given):
+            raise error
+
+        monkeypatch.setattr(policy._adapter, "act", fail)
+        monkeypatch.setattr(policy._adapter, "reset", fail)
+
+    walk = (np.zeros((2, 45), np.float32), np.ones((2, 48, 64), np.float32), np.zeros(2, bool))
+    act(KeyError("gait"))
+    for fail in (lambda: policy.step(*walk), policy.reset):
+        with pytest.raises(RenetError, match=r"fails with still\.onnx.*KeyError: 'gait'") as told:
+            fail()
+        assert isinstance(told.value.__cause__, KeyError)
+    act(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        policy.step(*walk)
+
+
 @pytest.mark.parametrize(
     ("source", "message"),
     [
