@@ -182,8 +182,8 @@ def dimension(
         axis.plot((a, c), (b, d), color=SIZES, linewidth=0.5)
     # Left of the end, where a longer length's line may pass.
     place = (x2 - 0.012, y1 + 0.015) if level else (x1 + 0.015, (y1 + y2) / 2)
-    where = {"ha": "right"} if level else {"ha": "left", "va": "center"}
-    axis.text(*place, text, color=SIZES, fontsize=9, **where)
+    side, middle = ("right", "baseline") if level else ("left", "center")
+    axis.text(*place, text, color=SIZES, fontsize=9, ha=side, va=middle)
 
 
 if __name__ == "__main__":
