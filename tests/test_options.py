@@ -21,6 +21,7 @@ MISTAKES = {
     "train Renet-Go1-Flat --resume nowhere": "nothing to resume: nowhere does not exist",
     "train --resume latest": "write the task first",
     "train --seed 1": "Missing from renet train",
+    "train Renet-Go2-Flat --scene ground.npy": "the task has no tiles to put a scene among",
 }
 TELL = """
 import sys

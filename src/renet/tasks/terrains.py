@@ -7,6 +7,7 @@ from typing import Any, cast
 from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.errors import RenetError
+from renet.options import NO_TILES
 from renet.terrain.course import WIDTH, Course
 from renet.terrain.own_ground import KIND
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
@@ -110,7 +111,7 @@ def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -
     if not 0.0 < share <= 1.0:
         raise RenetError(f"--scene-share must be above 0 and at most 1, got {share:g}")
     if terrain is None or terrain.terrain_generator is None:
-        raise RenetError("the task has no tiles to put a scene among: train a Parkour task")
+        raise RenetError(NO_TILES)
     generator = terrain.terrain_generator
     if share == 1.0:
         generator.sub_terrains = cast(Any, {KIND: replace(tile, proportion=1.0)})
