@@ -137,8 +137,23 @@ class UsualOptions(TrainOptions):
             raise RenetError(f"--film-every must not be negative, got {self.film_every}")
         seconds(self.time_budget)
         check_device(self.device)
-        if self.scene is not None and task in FLAT_TASKS:
-            raise RenetError(NO_TILES)
+        if self.scene is not None:
+            check_scene(self.scene, self.scene_share, task)
+
+
+def check_scene(scene: Path, share: float, task: str) -> None:
+    """Raise RenetError for a scene that is missing, or that a task or a share cannot have."""
+    if task in FLAT_TASKS:
+        raise RenetError(NO_TILES)
+    check_share(share)
+    if not scene.exists():
+        raise RenetError(f"there is no scene {scene}")
+
+
+def check_share(share: float) -> None:
+    """Raise RenetError for a share of robots on a scene that is out of its range."""
+    if not 0.0 < share <= 1.0:
+        raise RenetError(f"--scene-share must be above 0 and at most 1, got {share:g}")
 
 
 def check_task(task: str) -> None:

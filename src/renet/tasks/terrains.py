@@ -7,7 +7,7 @@ from typing import Any, cast
 from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.errors import RenetError
-from renet.options import NO_TILES
+from renet.options import NO_TILES, check_share
 from renet.terrain.course import WIDTH, Course
 from renet.terrain.own_ground import KIND
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
@@ -108,8 +108,7 @@ def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -
     Raises:
         RenetError: The terrain has no tiles, or the share is out of its range.
     """
-    if not 0.0 < share <= 1.0:
-        raise RenetError(f"--scene-share must be above 0 and at most 1, got {share:g}")
+    check_share(share)
     if terrain is None or terrain.terrain_generator is None:
         raise RenetError(NO_TILES)
     generator = terrain.terrain_generator
