@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 _GROUND = "gap"
 """Kind of tile."""
-_LEVEL = 5
-"""Its level: a gap of 37 cm."""
+_LEVEL = 8
+"""Its level: a gap of 57 cm."""
 _UNPLUGGED = ("unplugged", 5)
 """Fault and severity: no image any more."""
 _LEAD = 0.5
