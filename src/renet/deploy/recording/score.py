@@ -197,8 +197,8 @@ def in_gap(run: Recording) -> np.ndarray:
     """Mask [T] of ticks at which a simulated robot is in the gap of its tile."""
     ticks = run.ticks
     level = run.header.get("level")
-    known = run.header.get("terrain") == "gap" and isinstance(level, int)
-    if not known or run.header.get("scene") or not len(ticks) or not simulated(ticks):
+    on_gap = run.header.get("terrain") == "gap" and not run.header.get("scene")
+    if not isinstance(level, int) or not on_gap or not len(ticks) or not simulated(ticks):
         return np.zeros(len(ticks), bool)
     # Needs MuJoCo, which may not be installed on a robot.
     from renet.terrain.tiles import LEVELS, GapTile
