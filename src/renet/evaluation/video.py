@@ -15,7 +15,7 @@ from renet.evaluation.painter import Painter, View
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT, STEPS_PER_TICK
-from renet.palette import STATES, rgb
+from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink, rgb
 from renet.terminal import progress
 
 _font = ImageFont.load_default
@@ -134,7 +134,11 @@ def _state(trace: Trace, step: int, robot: int) -> str:
 def _draw_map(
     image: Image.Image, view: View, painter: Painter, trace: Trace, step: int, robot: int
 ) -> None:
-    """Draw VP's map of the ground, as the web page does: in the state's colour, black if wrong."""
+    """Draw VP's map of the ground, as the web page does.
+
+    Dots are in the state's colour, and darker up to black the more they are wrong. Those on ground
+    that the robot has not seen have a colour of their own.
+    """
     tick = step // STEPS_PER_TICK
     state = _state(trace, step, robot)
     film = trace.film
@@ -148,6 +152,7 @@ def _draw_map(
     points = pose[:3] + Rotation.from_euler("z", yaw).apply(grid)
     error = np.abs(points[:, 2] - painter.heights(points)) / _BLACK_ERROR
     colours = np.array(rgb(STATES[state][0])) * (1 - np.clip(error, 0, 1))[:, None]
+    colours[~film.maps_seen[tick, robot]] = rgb(UNSEEN_COLOUR)
     draw = ImageDraw.Draw(image)
     ground = view.ground
     for (x, y, scale), colour in zip(view.pixels(points), colours.astype(int), strict=True):
@@ -180,8 +185,12 @@ def _stamp(
     draw.rectangle((0, 0, width, _BAR), fill=_SHADE)
     draw.text((8, 3), title, font=_font(_TEXT), fill=_WHITE)
     draw.rectangle((width - _CHIP, 0, width, _BAR), fill=colour)
-    ink = _SHADE[:3] if sum(colour) > 380 else _WHITE
-    draw.text((width - 8, 3), state, font=_font(_TEXT), fill=ink, anchor="ra")
+    draw.text((width - 8, 3), state, ink(STATES[state][0]), font=_font(_TEXT), anchor="ra")
+    # Below it on the left: the robot walks towards ground that it has not seen.
+    if trace.unseen[step, robot]:
+        top = height - 2 * _BAR
+        draw.rectangle((0, top, 150, top + _BAR), fill=UNSEEN_COLOUR)
+        draw.text((8, top + 3), UNSEEN_AHEAD, ink(UNSEEN_COLOUR), font=_font(_TEXT))
     # Depth image with a frame that is red while the camera fails.
     depth = Image.fromarray(trace.film.images[step // STEPS_PER_TICK, robot])
     camera, camera_colour = (fault, _RED) if failing else ("camera healthy", _GREEN)
