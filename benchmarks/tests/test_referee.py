@@ -40,8 +40,3 @@ def test_a_new_walk_begins_without_memory(exported: torch.jit.ScriptModule) -> N
     # A walk that ends between two ticks, from another observation.
     walk(exported, OBSERVATIONS[40:52])
     np.testing.assert_array_equal(walk(exported, OBSERVATIONS[:12]), first)
-
-
-def test_its_memory_holds_no_gradients(exported: torch.jit.ScriptModule) -> None:
-    walk(exported, OBSERVATIONS[:2])
-    assert not exported.latent.requires_grad
