@@ -25,10 +25,12 @@ def register_tasks(name: str, robot: Robot) -> None:
     if robot.name not in robots():
         register_robot(robot)
     for terrain, cfg in (("Flat", flat_env_cfg), ("Parkour", parkour_env_cfg)):
-        env, agent = cfg(robot=robot), RenetRunnerCfg()
+        env = cfg(robot=robot)
+        agent = RenetRunnerCfg()
         recipe(env, agent)
         register_task(f"Renet-{name}-{terrain}", env, cfg(play=True, robot=robot), agent)
-    paper, play = parkour_env_cfg(robot=robot), parkour_env_cfg(play=True, robot=robot)
+    paper = parkour_env_cfg(robot=robot)
+    play = parkour_env_cfg(play=True, robot=robot)
     register_task(f"Renet-{name}-Parkour-Paper", paper, play, RenetRunnerCfg())
 
 
