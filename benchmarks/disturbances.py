@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hardware_faults import FailingRobot, Fault, draw
+from hardware_faults import SOON, FailingRobot, Fault, draw
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.faulty import FaultyCamera
@@ -17,6 +17,7 @@ from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import clamp
 from renet.deploy.robots.go1.link import Go1Link
+from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED
 from renet.errors import RenetError
 from renet.faults import FAULTS, Injection
 from renet.interface import ACTION_SIZE, CONTROL_DT
@@ -30,6 +31,11 @@ COOLING = 4.0
 """°C a second by which it gets cold again, once the operator has put the robot back."""
 DISCHARGE = 0.05
 """Charge that a failing battery loses in a second."""
+
+STOPPED = "operator stop"
+"""Reason for which a robot that fell is braked."""
+OTHERS = ("the state is", "no control tick", REFUSED, EXHAUSTED, ENDED)
+"""Beginnings of reasons to brake that say nothing of a failing sensor or motor."""
 
 
 @dataclass(frozen=True)
@@ -79,9 +85,21 @@ class Failure:
     fault: Fault
     walking: bool
     """True if the robot walked when the fault began."""
-    told: float | None = None
-    """Seconds after which the robot was braked; None if it never was."""
+    braked: float | None = None
+    """Seconds after which the robot was braked; None if it was not before the part recovered."""
     why: str = ""
+    """Reason for which it was braked first."""
+
+    @property
+    def outcome(self) -> str:
+        """What became of it: told soon or later, not told, a fall, or another reason to brake."""
+        if self.braked is None:
+            return "not told"
+        if self.why == STOPPED:
+            return "fell"
+        if self.why.startswith(OTHERS):
+            return "braked for another reason"
+        return "told soon" if self.braked <= SOON + 1e-6 else "told later"
 
 
 class Body(FailingRobot):
@@ -219,8 +237,8 @@ class ShakyRobot:
         if self.body.fault is None or not self.failures:
             return
         failure = self.failures[-1]
-        if failure.told is None:
-            failure.told = round(self.now() - failure.fault.time, 2)
+        if failure.braked is None:
+            failure.braked = round(self.now() - failure.fault.time, 2)
             failure.why = why
 
     # What goes wrong.

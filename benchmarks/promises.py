@@ -120,7 +120,9 @@ class Promises:
 
     def _break(self, how: str) -> None:
         self.broken[how] += 1
-        self.first.setdefault(how, round(self._now, 2))
+        if how not in self.first:
+            self.first[how] = round(self._now, 2)
+            print(f"{self._now:.2f} s: {how}", flush=True)
 
 
 def watch_warnings(promises: Promises) -> None:

@@ -30,7 +30,7 @@ import warnings
 from array import array
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,6 @@ import tyro
 from disturbances import Body, Failure, Means, ShakyCamera, ShakyRobot
 from facts import report
 from flights import Flights
-from hardware_faults import SOON
 from promises import Promises, watch_warnings
 from renet.bundle import Bundle
 from renet.deploy.controller import Controller, Event
@@ -51,7 +50,7 @@ from renet.deploy.recording.score import fallen
 from renet.deploy.recording.tick import MODES
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.sim.scene import build_scene
-from renet.deploy.safety.machine import ENDED, Mode, SafetyMachine
+from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -249,7 +248,7 @@ class Soak:
         def tell(event: Event) -> None:
             recorder.event(event)
             self.promises.event(event)
-            if event.what == Mode.DAMPING and event.why not in (ENDED, "operator stop"):
+            if event.what == Mode.DAMPING:
                 robot.braked(event.why)
 
         def on_step(command: JointCommand, state: RobotState | None) -> None:
@@ -300,6 +299,11 @@ def soak(cfg: Cfg, folder: Path) -> dict[str, Any]:
         "flights": dict(hour.flights.count),
         "given": dict(Counter(what for _, what in robot.given)),
         "hardware": hardware(robot.failures),
+        "failures": [
+            {**asdict(failure.fault), "walking": failure.walking, "outcome": failure.outcome}
+            | {"braked": failure.braked, "why": failure.why}
+            for failure in robot.failures
+        ],
         "damped_because": dict(why.most_common()),
         "recording_mb": round(sum(path.stat().st_size for path in hour.recordings) / 1e6, 1),
         "recording_problems": dict(problems),
@@ -360,11 +364,7 @@ def hardware(failures: list[Failure]) -> dict[str, dict[str, int]]:
         if not failure.walking:
             continue
         row = table.setdefault(f"{failure.fault.part} {failure.fault.kind}", Counter())
-        row["faults"] += 1
-        if failure.told is None:
-            row["not told"] += 1
-        else:
-            row["told soon" if failure.told <= SOON + 1e-6 else "told later"] += 1
+        row[failure.outcome] += 1
     return {name: dict(table[name]) for name in sorted(table)}
 
 
