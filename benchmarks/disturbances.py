@@ -23,6 +23,8 @@ from renet.faults import FAULTS, Injection
 from renet.interface import ACTION_SIZE, CONTROL_DT
 from vendor_go1 import COLD, Wire
 
+EXCHANGE = 0.01
+"""Seconds from one exchange with the robot's motors to the next; a real sender's are 0.002."""
 LASTS = 10.0
 """Seconds for which hardware stays out of order where nobody is told of it."""
 HEATING = 8.0
@@ -31,7 +33,6 @@ COOLING = 4.0
 """°C a second by which it gets cold again, once the operator has put the robot back."""
 DISCHARGE = 0.05
 """Charge that a failing battery loses in a second."""
-
 STOPPED = "operator stop"
 """Reason for which a robot that fell is braked."""
 OTHERS = ("the state is", "no control tick", REFUSED, EXHAUSTED, ENDED)
@@ -59,7 +60,7 @@ class Means:
     absurd_numbers: float = 60.0
     """Up to four packets with an absurd number, whose CRC is right."""
     wrong_counts: float = 90.0
-    """Half of the packets have a wrong count, for up to 0.1 s."""
+    """Half of the packets have a wrong count, for up to 0.4 s."""
     no_sign_of_life: float = 60.0
     """The controller's process is silent for up to 0.3 s."""
     motor_mode: float = 240.0
@@ -135,8 +136,8 @@ class Body(FailingRobot):
 class ShakyRobot:
     """Driver of a simulated Go1 behind the vendor's module, as `RealRobot` drives a real one.
 
-    Its sender lives in this process and on the simulated clock, and exchanges at every step of the
-    physics. Keeps what goes wrong, when and how often.
+    Its sender lives in this process and on the simulated clock. Keeps what goes wrong, when and how
+    often.
     """
 
     def __init__(
@@ -173,7 +174,7 @@ class ShakyRobot:
         until = self.now() + 1.0
         while self.link.state is None and not self.link.problem and self.now() < until:
             self._exchange()
-            self.body.wait(self.now() + self.body.model.opt.timestep)
+            self.body.wait(self.now() + EXCHANGE)
 
     def read(self) -> RobotState | None:
         """Return the newest reading, which may be lost, late or not finite."""
@@ -207,11 +208,11 @@ class ShakyRobot:
         self._fail_hardware()
         self._disturb_wire()
         self._change_power()
-        step = self.body.model.opt.timestep
-        for _ in range(round((until - self.now()) / step)):
-            self._exchange()
-            self.body.wait(self.now() + step)
         self._exchange()
+        step = self.body.model.opt.timestep
+        while until - self.now() > step / 2:
+            self.body.wait(min(self.now() + EXCHANGE, until))
+            self._exchange()
 
     def close(self) -> None:
         """Do nothing: there is nothing to let go of."""
@@ -279,7 +280,7 @@ class ShakyRobot:
                 setattr(wire, attribute, False)
                 del self._over[attribute]
         self._for_a_while("damaged_packets", "damaged", 0.3)
-        self._for_a_while("wrong_counts", "miscounts", 0.1)
+        self._for_a_while("wrong_counts", "miscounts", 0.4)
         self._for_a_while("no_sign_of_life", "lifeless", 0.3)
         self._for_a_while("second_robot", "stranger", 1.0)
         self._for_a_while("vendor_driver_fails", "broken", 0.1)
@@ -314,6 +315,8 @@ class ShakyRobot:
 class ShakyCamera:
     """A simulated camera with one fault of the catalogue after the other, that also stalls."""
 
+    busy = False
+
     def __init__(self, robot: ShakyRobot, bundle: Bundle) -> None:
         self._robot = robot
         self._camera = SimCamera(robot.body, bundle.manifest.camera)
@@ -322,6 +325,13 @@ class ShakyCamera:
         self._stalled = -math.inf
         """Time up to which no image comes, s."""
         self._frame: DepthFrame | None = None
+
+    def start(self) -> None:
+        """Begin to stream."""
+        self._camera.start()
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go of."""
 
     def latest(self) -> DepthFrame | None:
         """Return the newest frame; raises OSError where the driver fails."""

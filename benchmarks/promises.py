@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
 from renet.deploy.controller import Controller, Event
-from renet.deploy.robots.base import JointCommand, RobotState
+from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.real.braking import SILENCE, Link
 from renet.deploy.safety.machine import Mode
+from renet.interface import ACTION_SIZE
 from renet.robots import Robot
 
 ROUNDING = 1e-6
@@ -27,7 +30,12 @@ class Promises:
     """Looks at every command, event and step of all runs."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
+        zero = np.zeros(ACTION_SIZE)
+        self._least = np.concatenate((robot.lower, zero, zero)) - ROUNDING
+        """Least position, stiffness and damping of each joint, [36]."""
+        gains = (zero + robot.max_stiffness, zero + robot.max_damping)
+        self._most = np.concatenate((robot.upper, *gains)) + ROUNDING
+        """Largest, likewise."""
         self._controller: Controller | None = None
         self._link: Link | None = None
         self._mode = Mode.DAMPING
@@ -59,20 +67,21 @@ class Promises:
         """Check a command that is about to reach the motors at `now`, s."""
         self._now = now
         self.commands += 1
-        robot = self._robot
-        parts = (command.position, command.stiffness, command.damping)
-        if not all(np.isfinite(part).all() for part in parts):
-            self._break("a command is not finite")
-            return
-        low = robot.lower - ROUNDING
-        high = robot.upper + ROUNDING
-        if not ((command.position >= low) & (command.position <= high)).all():
-            self._break("a joint target is outside of its range")
-        gains = ((command.stiffness, robot.max_stiffness), (command.damping, robot.max_damping))
-        for gain, most in gains:
-            if (gain < 0.0).any() or (gain > most + ROUNDING).any():
-                self._break("a gain is outside of its range")
+        values = np.concatenate((command.position, command.stiffness, command.damping))
+        # No comparison holds for a NaN.
+        within = (values >= self._least) & (values <= self._most)
+        if not within.all():
+            self._name(values, within)
         self._check_braked(command, now)
+
+    def _name(self, values: np.ndarray, within: np.ndarray) -> None:
+        """Say what is wrong with a command of which not all numbers are within their limits."""
+        if not np.isfinite(values).all():
+            self._break("a command is not finite")
+        elif not within[:ACTION_SIZE].all():
+            self._break("a joint target is outside of its range")
+        else:
+            self._break("a gain is outside of its range")
 
     def _check_braked(self, command: JointCommand, now: float) -> None:
         """Check that a robot that was braked longer than a command lasts is only braked."""
@@ -99,7 +108,7 @@ class Promises:
             self._told = Mode(event.what)
         self._answered = self._answered or event.what in ("refused", Mode.DAMPING)
 
-    def step(self, command: JointCommand, state: RobotState | None, armed: bool) -> None:
+    def step(self, command: JointCommand, armed: bool) -> None:
         """Check a control step, in which the operator may have asked to stand up."""
         if self._controller is None:
             return
@@ -117,6 +126,15 @@ class Promises:
         if braked and command.stiffness.any():
             self._break("a braked robot is commanded")
         self._answered = False
+
+    @contextmanager
+    def checked(self) -> Iterator[None]:
+        """Count an exception in a block as a breach."""
+        try:
+            yield
+        except Exception as error:
+            self._break(f"a check failed: {type(error).__name__}: {error}")
+            raise
 
     def _break(self, how: str) -> None:
         self.broken[how] += 1

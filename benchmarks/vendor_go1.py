@@ -127,13 +127,10 @@ class Wire:
     def obey(self, sent: SimpleNamespace) -> None:
         """Hand the vendor's command over to the motors."""
         motors = sent.motorCmd[:ACTION_SIZE]
-        position = np.array([motor.q for motor in motors], float)
-        none = np.abs(position) > _NO_POSITION
-        command = JointCommand(
-            np.where(none, 0.0, position),
-            np.where(none, 0.0, [motor.Kp for motor in motors]),
-            np.array([motor.Kd for motor in motors], float),
-        )
+        values = np.array([(motor.q, motor.Kp, motor.Kd) for motor in motors], float)
+        none = np.abs(values[:, 0]) > _NO_POSITION
+        values[none, :2] = 0.0
+        command = JointCommand(*values.T)
         if not none.all():
             self._on_command(command)
         self._robot.write(command)
