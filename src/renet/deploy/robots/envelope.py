@@ -54,8 +54,8 @@ def clamp(robot: Robot, command: JointCommand, state: RobotState | None = None) 
     if state is not None and stiffness.any():
         # Both gains shrink alike until the torque is one that the motor has.
         speed = state.joint_velocity
-        # A damaged reading may be infinite, and its torque NaN, which scales nothing.
-        with np.errstate(invalid="ignore"):
+        # A damaged reading may be infinite or huge, and its torque NaN, which scales nothing.
+        with np.errstate(invalid="ignore", over="ignore"):
             torque = stiffness * (position - state.joint_position) - damping * speed
             driven = (np.abs(speed) > robot.velocity) & (torque * speed > 0.0)
         share = np.minimum(1.0, robot.torque / np.fmax(np.abs(torque), 1e-9))
