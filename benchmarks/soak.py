@@ -68,6 +68,9 @@ TIMED = 7
 """Of so many control steps the CPU time of one is measured; vision has every fifth."""
 SETTLED = 5
 """Minutes after which memory may grow no more."""
+STEP = np.dtype([("now", "f8"), ("share", "f8"), ("vp", "?"), ("op", "?"), ("falls", "?")])
+"""Summary of a control step: its time, s, the largest joint target as a share of the envelope, and
+flags: VP drives the walk, OP does, the robot falls."""
 
 
 @dataclass(frozen=True)
@@ -347,10 +350,10 @@ def read_all(paths: list[Path], robot: Robot) -> tuple[list[np.ndarray], list[Ev
 
 
 def summary(run: Recording, robot: Robot) -> np.ndarray:
-    """Return [T] of each step: `now` s, `share` of the envelope, `vp`, `op`, `falls`."""
+    """Return [T] of dtype `STEP`: what counts of each control step."""
     ticks = run.ticks
     half = (robot.upper - robot.lower) / 2
-    steps = np.zeros(len(ticks), [("now", "f8"), ("share", "f8"), *STEP_FLAGS])
+    steps = np.zeros(len(ticks), STEP)
     walking = ticks["mode"] == MODES.index(Mode.WALKING)
     down = fallen(ticks)
     steps["now"] = ticks["now"]
@@ -359,10 +362,6 @@ def summary(run: Recording, robot: Robot) -> np.ndarray:
     steps["op"] = walking & ~ticks["vision"]
     steps["falls"][1:] = down[1:] & ~down[:-1]
     return steps
-
-
-STEP_FLAGS = [("vp", "?"), ("op", "?"), ("falls", "?")]
-"""Flags of a control step in a summary: VP drives the walk, OP does, and the robot falls."""
 
 
 def growth(memory: list[float]) -> float | None:
@@ -418,7 +417,7 @@ def by_minute(
     return rows
 
 
-def plot(results: dict, path: Path) -> None:
+def plot(results: dict[str, Any], path: Path) -> None:
     """Memory, tick times, events and shares of the envelope, by minute."""
     from matplotlib.figure import Figure
 
@@ -429,11 +428,13 @@ def plot(results: dict, path: Path) -> None:
         "largest joint target,\nshare of the envelope": ("target",),
         "load of the\ncomputer": ("load",),
     }
-    rows, figure = results["by_minute"], Figure(figsize=(9, 8), layout="constrained")
+    rows = results["by_minute"]
+    minutes = range(1, len(rows) + 1)
+    figure = Figure(figsize=(9, 8), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True)
     for axis, (label, names) in zip(axes, panels.items(), strict=True):
         for name in names:
-            axis.plot(range(1, len(rows) + 1), [row[name] for row in rows], label=name)
+            axis.plot(minutes, [row[name] for row in rows], label=name)
         axis.set(ylabel=label, ylim=(0, None))
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     axes[-1].set_xlabel("simulated minute")
