@@ -3,16 +3,16 @@
 They are from Okabe and Ito's set, which colour-blind people can tell apart.
 """
 
-SEES = "#0072b2"
+SEES_COLOUR = "#0072b2"
 """Colour of a robot that VP drives with images."""
-REMEMBERS = "#e69f00"
+REMEMBERS_COLOUR = "#e69f00"
 """Colour of a robot that VP drives from memory."""
-BLIND = "#8c4a8c"
+BLIND_COLOUR = "#8c4a8c"
 """Colour of a robot that OP drives."""
 STATES = {
-    "sees": (SEES, "sees (VP)"),
-    "remembers": (REMEMBERS, "remembers (VP)"),
-    "blind": (BLIND, "blind (OP)"),
+    "sees": (SEES_COLOUR, "sees (VP)"),
+    "remembers": (REMEMBERS_COLOUR, "remembers (VP)"),
+    "blind": (BLIND_COLOUR, "blind (OP)"),
 }
 """Colour and legend of each state."""
 
