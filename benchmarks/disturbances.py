@@ -87,9 +87,10 @@ class Failure:
     walking: bool
     """True if the robot walked when the fault began."""
     braked: float | None = None
-    """Seconds after which the robot was braked; None if it was not before the part recovered."""
+    """Seconds after which the robot was braked, or the operator told of its body; None if nothing
+    happened before the part recovered."""
     why: str = ""
-    """Reason for which it was braked first."""
+    """The first reason that the operator was told."""
 
     @property
     def outcome(self) -> str:
@@ -233,8 +234,8 @@ class ShakyRobot:
         self._hot = None
         self._empties = False
 
-    def braked(self, why: str) -> None:
-        """Note that the operator was told why the robot is braked."""
+    def alarm(self, why: str) -> None:
+        """Note that the operator was told why the robot is braked, or what is wrong with it."""
         if self.body.fault is None or not self.failures:
             return
         failure = self.failures[-1]

@@ -266,8 +266,8 @@ class Soak:
             # The controller lets no listener's exception through: it must be kept here.
             with self.promises.checked():
                 self.promises.event(event)
-            if event.what == Mode.DAMPING:
-                robot.braked(event.why)
+            if event.what in (Mode.DAMPING, "robot"):
+                robot.alarm(event.why)
 
         def on_step(command: JointCommand, state: RobotState | None) -> None:
             robot.walking = controller.machine.mode is Mode.WALKING

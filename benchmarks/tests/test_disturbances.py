@@ -105,8 +105,8 @@ def test_a_part_fails_until_it_recovers_and_what_was_told_is_kept():
     assert robot.body.fault is failure.fault
     assert failure.outcome == "not told"
     robot.wait(robot.now() + 0.3)
-    robot.braked("the gyroscope is frozen")
-    robot.braked("later")
+    robot.alarm("the gyroscope is frozen")
+    robot.alarm("later")
     assert failure.why == "the gyroscope is frozen"
     assert failure.outcome == "told soon"
     robot.wait(robot.now() + LASTS)
