@@ -433,9 +433,12 @@ def plot(results: dict[str, Any], path: Path) -> None:
     figure = Figure(figsize=(9, 8), layout="constrained")
     axes = figure.subplots(len(panels), 1, sharex=True)
     for axis, (label, names) in zip(axes, panels.items(), strict=True):
+        most = 0.0
         for name in names:
-            axis.plot(minutes, [row[name] for row in rows], label=name)
-        axis.set(ylabel=label, ylim=(0, None))
+            values = [row[name] for row in rows]
+            most = max(most, *values)
+            axis.plot(minutes, values, label=name)
+        axis.set(ylabel=label, ylim=(0, 1.1 * most))
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     axes[-1].set_xlabel("simulated minute")
     disturbances = sum(results["given"].values())
