@@ -85,9 +85,9 @@ class BlindPolicy(nn.Module):
             past = observation.unsqueeze(1).expand_as(past)
         self.history = torch.cat((past, observation.unsqueeze(1)), dim=1)
         if self.step % self.steps_per_tick == 0:
-            self.latent = self.tick(self.history, self.latent)
+            self.latent = self.tick(self.history, self.latent)  # pyright: ignore[reportCallIssue]
         self.step += 1
-        return self.actor(observation, self.latent)
+        return self.actor(observation, self.latent)  # pyright: ignore[reportCallIssue]
 
     @torch.jit.export
     def reset(self) -> None:
