@@ -171,7 +171,10 @@ class Controller:
     ) -> JointCommand:
         """Do one control step; raises what the pilot and the steering raise."""
         before = self.machine.mode
+        warned = self._watch.warning
         self._watch.offer(raw, now)
+        if self._watch.warning and not warned:
+            self.tell(now, "robot", self._watch.warning)
         self._buffer.offer(frame, now)
         mode = self.machine.update(self._problem(teleop, now), teleop, now)
         if self.machine.refused:
