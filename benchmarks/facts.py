@@ -24,7 +24,8 @@ LOAD_BEFORE = os.getloadavg()[0]
 def facts() -> dict[str, Any]:
     packages = ("mujoco", "mujoco-warp", "warp-lang", "mjlab", "torch", "onnxruntime", "numpy")
     return {
-        "command": " ".join(["python", *sys.argv]),
+        # As it was typed: of `python -m`, sys.argv has the module's path.
+        "command": " ".join(["python", *sys.orig_argv[1:]]),
         "date": date.today().isoformat(),
         "cpus": os.cpu_count(),
         "machine": platform.machine(),

@@ -1,6 +1,7 @@
 """Load the page's opening scene again and again: how quick it is, and what blindness does.
 
 Usage: renet page --out PAGE && python -m benchmarks.page PAGE [--scene '?ground=gap'] [--loads 10]
+       [--json FILE]
 
 "Page" is the processor time of the renderer process (JavaScript and WebAssembly), "drawing" that of
 the process that stands for the GPU. On a busy machine they say more than the clock does.
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from benchmarks.facts import report
 from playwright.sync_api import Browser
 from tests.browser import open_browser
 
@@ -27,9 +29,11 @@ PATIENCE = 500.0
 TICKS = os.sysconf("SC_CLK_TCK")
 LOOK = """(() => {
   const { page, stats } = renetPage;
-  return { ...stats, now: page.now, states: page.simulations.map((one) => one.state),
-    sentence: page.story.sentence };
+  const end = ({ fell, done }) => (fell !== null ? "fell" : done !== null ? "crossed" : "walks");
+  return { ...stats, ends: page.story.tales.map(end), sentence: page.story.sentence };
 })()"""
+MEASURED = ("first_s", "ready_s", "real_time", "frame_ms", "cpu_page", "cpu_drawing")
+"""Numbers of a visit whose medians are told."""
 
 
 def processor_time(root: int) -> dict[str, float]:
@@ -77,16 +81,18 @@ def load(browser: Browser, address: str) -> dict[str, Any]:
         "frame_ms": 1000 * seconds / pictures,
         "cpu_page": took["renderer"] / simulated,
         "cpu_drawing": took.get("gpu-process", 0.0) / pictures,
+        "ends": seen["ends"],
         "sentence": seen["sentence"],
     }
 
 
 def main() -> None:
-    """Print one line a visit, and the medians."""
+    """Print one line a visit, and the medians; with --json, keep them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("page", type=Path)
     parser.add_argument("--scene", default="", help="query of the address: ?ground=gap")
     parser.add_argument("--loads", type=int, default=10)
+    parser.add_argument("--json", type=Path, help="file for the results")
     args = parser.parse_args()
     server = serve_folder(args.page, 0)
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -103,8 +109,15 @@ def main() -> None:
                 f"{visit['sentence']}",
                 flush=True,
             )
-    for key in ("first_s", "ready_s", "real_time", "frame_ms", "cpu_page", "cpu_drawing"):
-        print(f"median {key}: {np.median([visit[key] for visit in visits]):.2f}")
+    medians = {f"median_{key}": float(np.median([one[key] for one in visits])) for key in MEASURED}
+    ends = [visit["ends"] for visit in visits]
+    results = {
+        "loads": args.loads,
+        "left_fell": sum(left == "fell" for left, _ in ends),
+        "right_crossed": sum(right == "crossed" for _, right in ends),
+        "left_fell_and_right_crossed": ends.count(["fell", "crossed"]),
+    }
+    report(results | medians | {"visits": visits}, args.json)
 
 
 if __name__ == "__main__":

@@ -99,7 +99,7 @@ def told_twists(weights: dict[str, Tensor], exploration: float) -> dict[str, Ten
 def main(cfg: Cfg) -> Path:
     """Write the new checkpoint; returns its folder."""
     folder = checkpoints.find(cfg.checkpoint)
-    before = checkpoints.load(folder)
+    before = checkpoints.load_checkpoint(folder)
     agent = TrainCfg.from_task(TASK).agent
     weights = told_twists(before.model, cfg.exploration)
     # Heads that the checkpoint lacks begin anew.

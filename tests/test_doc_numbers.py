@@ -15,8 +15,8 @@ RESULTS = ROOT / "benchmarks" / "results"
 
 
 def cells(page: str, heading: str) -> list[list[str]]:
-    """The rows of a section's tables."""
-    text = re.sub(r"```.*?```", "", (ROOT / "docs" / page).read_text(), flags=re.DOTALL)
+    """The rows of the tables of a section, of a file in the repository."""
+    text = re.sub(r"```.*?```", "", (ROOT / page).read_text(), flags=re.DOTALL)
     section = re.split(rf"^#+ {heading}$", text, flags=re.MULTILINE)[1]
     section = re.split(r"^#", section, flags=re.MULTILINE)[0]
     lines = re.findall(r"^\| (.+) \|$", section, re.MULTILINE)
@@ -36,13 +36,13 @@ def test_row_of_table_1(path):
     passed = {kind: 0 for kind in ("gap", "platform", "stairs")}
     for run in row["runs"]:
         passed[run["kind"].split("_")[0]] += run["passed"]
-    shown = next(line for line in cells("results.md", "Table I") if line[0] == title)
+    shown = next(line for line in cells("benchmarks/NOTES.md", "Table I") if line[0] == title)
     assert [int(n.strip("*")) for n in shown[1:4]] == list(passed.values())
     assert float(shown[4].strip("*")) == pytest.approx(row["collisions"], abs=0.00501)
 
 
 def test_bold_cells_of_table_1_lie_outside_its_prediction_intervals():
-    lines = [line for line in cells("results.md", "Table I") if len(line) == 5][1:]
+    lines = [line for line in cells("benchmarks/NOTES.md", "Table I") if len(line) == 5][1:]
     seeds, others = lines[:4], {line[0]: line[1:] for line in lines[5:]}
     for column in range(1, 5):
         values = [float(line[column]) for line in seeds]
@@ -61,14 +61,15 @@ def test_bold_cells_of_table_1_lie_outside_its_prediction_intervals():
 
 def test_tables_of_the_shipped_policy_are_those_of_its_results(tmp_path, capsys):
     assert tables.main([]) == 0
-    for page in (ROOT / "docs").glob("*.md"):
-        shutil.copy(page, tmp_path)
-    page = tmp_path / "memory.md"
+    for name in {name for name, _ in tables.TABLES}:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    page = tmp_path / "docs" / "memory.md"
     right = page.read_text()
     page.write_text(right.replace("| memory | 19 / 20 |", "| memory | 17 / 19 |"))
     assert page.read_text() != right
     assert tables.main([], tmp_path) == 1
-    assert "memory.md, Measure it" in capsys.readouterr().out
+    assert "docs/memory.md, Measure it" in capsys.readouterr().out
     assert tables.main(["--fill"], tmp_path) == 0
     assert page.read_text() == right
 
@@ -81,7 +82,7 @@ def test_what_two_seconds_without_an_image_cost():
         for run in result("shipped/two_seconds.json")["runs"]
         if run["without_s"] == 2
     }
-    names, costs = cells("memory.md", "Measure it")[-2:]
+    names, costs = cells("docs/memory.md", "Measure it")[-2:]
     shown = [tuple(map(int, re.findall(r"-?\d+", cost.replace("−", "-")))) for cost in costs]
     assert dict(zip(names, shown, strict=True)) == {
         ground.replace("_", " "): points for ground, points in lost.items()
@@ -92,7 +93,7 @@ def test_motors_of_the_go2():
     content = result("go2/motors.json")
     error = content["evidence"]["standard_error"]
     rmse = content["evidence"]["rmse_rad"]["held_out"]
-    lines = cells("robots.md", "Measure its motors")
+    lines = cells("benchmarks/NOTES.md", "A Go2's motors")
     columns = {"armature": (1, 4), "damping": (1, 2), "friction": (1, 2), "delay": (1000, 1)}
     for kind, motor in content["motors"].items():
         (shown,) = (line[1:] for line in lines if line[0] == kind)

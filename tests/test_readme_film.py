@@ -8,7 +8,7 @@ import pytest
 from PIL import Image, ImageSequence
 
 from renet.evaluation.video import DARK_GREEN, DARK_RED
-from renet.palette import REMEMBERS, SEES, rgb
+from renet.palette import REMEMBERS_COLOUR, SEES_COLOUR, rgb
 from tests.browser import compare
 
 FILM = Path(__file__).parents[1] / "docs" / "figures" / "walk.webp"
@@ -51,9 +51,9 @@ def test_the_right_robot_remembers_and_the_left_one_believes_and_falls(
         return np.abs(colours - colour).max(axis=1) < 25
 
     fell, crossed = near(left, DARK_RED), near(right, DARK_GREEN)
-    assert (near(left, rgb(SEES)) | fell).all(), "it takes its last image for sight"
-    assert near(right[0:5], rgb(SEES)).all()
-    assert (near(right[30:], rgb(REMEMBERS)) | crossed[30:]).all()
+    assert (near(left, rgb(SEES_COLOUR)) | fell).all(), "it takes its last image for sight"
+    assert near(right[0:5], rgb(SEES_COLOUR)).all()
+    assert (near(right[30:], rgb(REMEMBERS_COLOUR)) | crossed[30:]).all()
     # Each half says how it ended, in the last two seconds at least, and to the end.
     for outcome in (fell, crossed):
         assert outcome[-25:].all()

@@ -18,7 +18,7 @@ import trimesh
 from trimesh.visual.material import PBRMaterial
 
 from renet.page.writer import WEB, look_name
-from renet.robots.model import load_model
+from renet.robots.model import load_robot_model
 from robot_models import MODELS  # `NOTICE` says whose meshes they are.
 
 FOOT = "1b1e23"
@@ -42,7 +42,7 @@ GLTFPACK = "gltfpack@1.3.0"
 def look(name: str) -> trimesh.Scene:
     """A node for each body and colour, BODY or BODY-COLOUR, with its meshes in the body's frame."""
     robot, _ = MODELS[name]
-    model = load_model(robot).compile()
+    model = load_robot_model(robot).compile()
     scene = trimesh.Scene()
     for body in range(1, model.nbody):
         title = model.body(body).name

@@ -65,7 +65,7 @@ def mean(study: str, mode: str, grounds: tuple[str, ...], measure: str = "crosse
     return f"{100 * np.mean(shares):.1f}"
 
 
-def crossed(label: str, study: str = "severity_5") -> list[str]:
+def crossed(label: str, study: str) -> list[str]:
     """Modes camera, memory and blind under single faults, per cent, by ground, and the lead."""
     grounds = GROUNDS[1:] if label == "all but flat" else (label.replace(" ", "_"),)
     means = [mean(study, mode, grounds) for mode in ("camera", "memory", "blind")]
@@ -171,10 +171,10 @@ def reach(label: str) -> list[str]:
     return [" / ".join(map(str, ends[conduct])) for conduct in ("walk", "slow", "stop")]
 
 
-def one_try(label: str) -> list[str]:
+def one_try(_label: str) -> list[str]:
     """Who of 100 crosses with one try, on ground that separates policies."""
-    path = {"this policy": "success_100", "the earlier recipe's": "../earlier/success_100"}[label]
-    passed = {(run["kind"], run["level"]): str(run["passed"]) for run in result(path)["runs"]}
+    rows = result("success_100")["runs"]
+    passed = {(run["kind"], run["level"]): str(run["passed"]) for run in rows}
     return [passed[kind, level] for kind in ("gap", "platform") for level in (8, 10)] + [
         passed[f"stairs_{way}", 10] for way in ("up", "down")
     ]
@@ -191,23 +191,22 @@ def go2(label: str) -> list[str]:
 
 
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
-    ("results.md", "Obstacles"): one_try,
-    ("results.md", "Single faults"): crossed,
-    ("results.md", "Grass"): grass,
-    ("results.md", "Other switches"): switches,
-    ("results.md", "Standing"): standing,
-    ("memory.md", "Where memory ends"): reach,
-    ("memory.md", "Measure it"): black,
-    ("results.md", "Go2, one try"): go2,
-    ("results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),
-    ("results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
-    ("benchmark.md", "Results"): None,
-    ("benchmark.md", "Loud faults and lies"): loudness,
-    ("benchmark.md", "The quick set"): None,
-    ("benchmark.md", "The kilometre"): kilometre,
-    ("benchmark.md", "Where they fall"): sections,
+    ("docs/results.md", "Obstacles"): one_try,
+    ("docs/results.md", "Grass"): grass,
+    ("docs/results.md", "Other switches"): switches,
+    ("docs/results.md", "Standing"): standing,
+    ("docs/memory.md", "Where memory ends"): reach,
+    ("docs/memory.md", "Measure it"): black,
+    ("docs/results.md", "Go2, one try"): go2,
+    ("docs/results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),
+    ("docs/results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
+    ("docs/benchmark.md", "Results"): None,
+    ("docs/benchmark.md", "Loud faults and lies"): loudness,
+    ("benchmarks/NOTES.md", "The quick set"): None,
+    ("benchmarks/NOTES.md", "The kilometre"): kilometre,
+    ("benchmarks/NOTES.md", "Where they fall"): sections,
 }
-"""What fills the cells of a row, given its first one, by page and heading; the first table counts.
+"""What fills the cells of a row, given its first one, by file and heading; the first table counts.
 None: a leaderboard, whose rows are all new."""
 
 
@@ -229,14 +228,14 @@ def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = No
     return "\n".join([*text[:top], *(f"| {' | '.join(row)} |" for row in rows), *text[end:]])
 
 
-def main(arguments: list[str], docs: Path = ROOT / "docs") -> int:
+def main(arguments: list[str], root: Path = ROOT) -> int:
     """Compare or fill; 1 if a page differs from its results and is not to be filled."""
     wrong = 0
     for (name, heading), fill in TABLES.items():
-        page = (docs / name).read_text()
+        page = (root / name).read_text()
         new = filled(page, heading, fill)
         if "--fill" in arguments:
-            (docs / name).write_text(new)
+            (root / name).write_text(new)
         elif new != page:
             print(f"{name}, {heading}: other numbers than its results; run tools/tables.py --fill")
             wrong = 1

@@ -2,6 +2,7 @@
 
 import { Controls } from "./panel/controls.js";
 import { Driver, SHOW } from "./panel/driver.js";
+import { Gamepad } from "./panel/gamepad.js";
 import { bundleLink, sceneLink } from "./panel/link.js";
 import { Pad } from "./panel/pad.js";
 import { Panel } from "./panel/panel.js";
@@ -41,8 +42,9 @@ export class Page {
     if (scene.unknown.length) this.notify(`The link asks for ${scene.unknown.join(" and ")}: not here.`);
     const { contract, manifest, bundle } = runtime;
     const { bundles, palette } = contract;
-    for (const [state, { colour }] of Object.entries(palette)) {
-      document.documentElement.style.setProperty(`--${state}`, colour);
+    for (const [name, { colour, ink }] of Object.entries(palette)) {
+      document.documentElement.style.setProperty(`--${name}`, colour);
+      document.documentElement.style.setProperty(`--on-${name}`, ink);
     }
     const slots = [...document.querySelectorAll(".slot")];
     this.panels = scene.modes.map((mode, n) => {
@@ -61,6 +63,7 @@ export class Page {
     $("#refusal").textContent = allRound ? "" : asSentence(contract.steering.forwardOnly);
     $("#chosen").hidden = bundle.opening.left !== "switch";
     this.pad = new Pad($("#go"), $("#turn"), this.driver);
+    this.gamepad = new Gamepad(this.driver, (words) => this.notify(words));
     $("#severity").value = scene.severity;
     this.controls = new Controls(this);
     this.addFaults(contract.faults);
@@ -72,6 +75,7 @@ export class Page {
     for (const button of ["#explain", "#close"]) $(button).addEventListener("click", () => this.explain());
     $("#about").textContent =
       `Bundle ${bundle.name} (${bundle.robot}) of ${manifest.provenance.date}, renet ${contract.renet}. ` +
+      (manifest.selector.healthy_hours === 0 ? "Its monitors are not calibrated to its images. " : "") +
       "Physics: MuJoCo. Models: ONNX Runtime. Drawing: three.js, uPlot. Nothing leaves this page.";
     this.start();
   }
@@ -193,6 +197,8 @@ export class Page {
     const fault = index === null ? null : this.runtime.contract.faults[index];
     this.scene.fault = fault;
     this.pending = false;
+    // What was to be read until now is out of date.
+    this.notice = "";
     this.apply(fault);
   }
 
@@ -208,7 +214,8 @@ export class Page {
   /** Press the buttons of what is, and keep the address up to date. */
   show() {
     const { faults } = this.runtime.contract;
-    const { fault, severity } = this.scene;
+    const { fault, severity, modes } = this.scene;
+    $("#pitch").textContent = `Both cameras break${pitch(modes)}`;
     this.tiles.forEach((button, n) => {
       press(button, faults[n] === this.broken);
       button.classList.toggle("pending", this.pending && faults[n] === fault);
@@ -244,6 +251,7 @@ export class Page {
 
   /** One control step of all robots. */
   async step() {
+    this.gamepad.read();
     const { velocity } = this.driver;
     if (this.pending && this.due) {
       this.pending = false;
@@ -297,6 +305,13 @@ export class Page {
     if (this.broken && this.now < this.story.onset + 3) return "Both cameras just failed.";
     return "";
   }
+}
+
+/** What is to be seen of two robots of these modes. */
+function pitch([left, right]) {
+  if (left === right) return ".";
+  if (right === "memory") return "; the right robot remembers.";
+  return left === "memory" ? "; the left robot remembers." : ": who stays up?";
 }
 
 function fillSelect(select, choices, onChange) {

@@ -83,7 +83,7 @@ class CheckpointEvaluator(Evaluator):
         self._model = load_networks(path)
         self._name = path.name
         digest = hashlib.sha256()
-        for name, value in sorted(checkpoints.load(path).exported.items()):
+        for name, value in sorted(checkpoints.load_checkpoint(path).exported.items()):
             digest.update(name.encode() + value.numpy().tobytes())
         self._digest = digest.hexdigest()
 

@@ -3,7 +3,7 @@
 A privileged teacher learns by reinforcement on scan dots, here the height map and the velocity.
 A depth policy with a recurrent encoder then imitates it by DAgger: its actor begins as the
 teacher's, drives from the first step, and learns by the Euclidean norm of the difference of
-actions. docs/results.md says what differs.
+actions. benchmarks/NOTES.md says what differs.
 """
 
 from baselines.distillation import STUDENT, TEACHER, Stage

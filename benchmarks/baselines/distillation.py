@@ -157,7 +157,7 @@ class DistillationAlgorithm(RenetAlgorithm):
         reached: list[dict[str, Tensor]] = []
         taught = torch.zeros_like(kinds, dtype=torch.bool)
         for path, lessons in cfg.teachers:
-            checkpoint = checkpoints.load(Path(path), self.device)
+            checkpoint = checkpoints.load_checkpoint(Path(path), self.device)
             model = load_networks(Path(path)).to(self.device)
             if model.cfg.perception != "oracle":
                 raise RenetError(f"{path} cannot teach: it is not a policy with perception oracle")

@@ -3,7 +3,7 @@
 A walking policy is specialised to each obstacle, first where obstacles give way and penetration is
 penalised (soft dynamics), then where they do not (hard dynamics). One depth policy then imitates
 all of them by DAgger, each on its own tiles; teachers drive at first, ever less often.
-docs/results.md says what differs.
+benchmarks/NOTES.md says what differs.
 """
 
 import mujoco

@@ -30,7 +30,7 @@ def told(observations: torch.Tensor, *command: float) -> torch.Tensor:
 
 @torch.no_grad()
 def test_a_policy_near_its_heading_answers_as_before():
-    weights = checkpoints.load(checkpoints.find(SHIPPED)).model
+    weights = checkpoints.load_checkpoint(checkpoints.find(SHIPPED)).model
     before = network(weights)
     after = network(told_twists(weights, exploration=0.1))
     torch.manual_seed(1)
@@ -60,5 +60,5 @@ def test_training_can_go_on_from_it(tmp_path):
     assert cfg.agent.model.predict_far_map
     assert cfg.env.commands["goal"].told == "twist"
     model = RENet(cfg.agent.model, 232)
-    checkpoint = checkpoints.load(folder, model=model)
+    checkpoint = checkpoints.load_checkpoint(folder, model=model)
     checkpoints.load_model(model, checkpoint.model, folder)

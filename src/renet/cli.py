@@ -81,7 +81,8 @@ class Command:
 
 KEPT = "what has finished is kept: the same command goes on"
 AT_ONCE = "nothing is half-written: give the same command again"
-_walk, _train = partial(Command, group="Walk"), partial(Command, group="Train")
+_walk = partial(Command, group="Walk")
+_train = partial(Command, group="Train")
 _study = partial(Command, resume=KEPT)
 _bundle = partial(Command, extra="", group="Bundles")
 COMMANDS = {

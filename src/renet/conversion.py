@@ -7,12 +7,12 @@ import msgspec
 
 from renet.errors import RenetError, printable
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 MAX_TEXT = 500
 """Most characters of a text in a file."""
 
 
-def from_json(kind: type[T], value: Any, source: str, remedy: str) -> T:
+def from_json(kind: type[_T], value: Any, source: str, remedy: str) -> _T:
     """Build a dataclass from a JSON value.
 
     Types are those that its fields declare: no text is taken for a number. Numbers must be finite,

@@ -14,9 +14,11 @@ from renet.errors import RenetError, demand_name
 from renet.interface import Engine
 from renet.settings_file import read_settings
 
-ROBOTS = ("Go1", "Go2")
+ROBOT_NAMES = ("Go1", "Go2")
 TASKS = tuple(
-    f"Renet-{robot}-{kind}" for robot in ROBOTS for kind in ("Parkour", "Parkour-Paper", "Flat")
+    f"Renet-{robot}-{kind}"
+    for robot in ROBOT_NAMES
+    for kind in ("Parkour", "Parkour-Paper", "Flat")
 )
 """Ids of the tasks that renet itself registers, which needs PyTorch."""
 TASK = TASKS[0]

@@ -11,7 +11,7 @@ from renet.training.config import RenetRunnerCfg
 from renet.training.recipe import recipe
 from renet.training.runner import RenetRunner
 
-ROBOTS = 4096 if torch.cuda.is_available() else 512
+NUM_ENVS = 4096 if torch.cuda.is_available() else 512
 """The paper's number of robots on a GPU, and one that a CPU steps as fast as any."""
 
 
@@ -25,10 +25,12 @@ def register_tasks(name: str, robot: Robot) -> None:
     if robot.name not in robots():
         register_robot(robot)
     for terrain, cfg in (("Flat", flat_env_cfg), ("Parkour", parkour_env_cfg)):
-        env, agent = cfg(robot=robot), RenetRunnerCfg()
+        env = cfg(robot=robot)
+        agent = RenetRunnerCfg()
         recipe(env, agent)
         register_task(f"Renet-{name}-{terrain}", env, cfg(play=True, robot=robot), agent)
-    paper, play = parkour_env_cfg(robot=robot), parkour_env_cfg(play=True, robot=robot)
+    paper = parkour_env_cfg(robot=robot)
+    play = parkour_env_cfg(play=True, robot=robot)
     register_task(f"Renet-{name}-Parkour-Paper", paper, play, RenetRunnerCfg())
 
 
@@ -40,7 +42,7 @@ def register_task(
     runner: type[RenetRunner] = RenetRunner,
 ) -> None:
     """Register a task by its id: what is trained in, what is evaluated in, how, and by what."""
-    env.scene.num_envs = ROBOTS
+    env.scene.num_envs = NUM_ENVS
     agent.experiment_name = agent.task = task
     register_mjlab_task(task, env, play, agent, runner)
 

@@ -21,6 +21,11 @@ function image(text) {
   return new Float32Array(buffer.slice(byteOffset, byteOffset + length));
 }
 
+function mapSeen() {
+  const { x, y } = contract.heightMap;
+  return x.flatMap((ahead) => y.map((left) => controller.hasSeen(ahead, left)));
+}
+
 const decided = [];
 let frame = null;
 for (const { state, frame: next, teleop, now } of ticks) {
@@ -41,6 +46,8 @@ for (const { state, frame: next, teleop, now } of ticks) {
     reason: selector.reason,
     state: selector.state,
     map_error: policy.mapError,
+    unseen: controller.unseen,
+    map_seen: phase === "walking" ? mapSeen() : [],
   });
 }
 console.log(JSON.stringify(decided));

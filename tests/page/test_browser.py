@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from renet.interface import LEGS, TRUNK
+from renet.palette import UNSEEN_AHEAD, UNSEEN_COLOUR, rgb
 from renet.robots import GO2
 from tests.browser import compare, open_browser, watch
 from tests.page.conftest import served
@@ -26,6 +27,8 @@ PARTS = (
     "#turn",
 )
 """What is laid over the stage, and must not lie upon each other."""
+NEWS = ("#message", "#verdict", ".state span:not(:empty)")
+"""What comes and goes there."""
 
 
 class Visit:
@@ -57,6 +60,23 @@ class Visit:
         """Point of an element, px, at shares of its width and height."""
         box = self.page.locator(selector).bounding_box()
         return box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
+
+    def demand_order(self, parts: tuple[str, ...]) -> None:
+        """Fail where visible parts lie upon each other, or beyond the sides of the window."""
+        boxes = {}
+        for part in parts:
+            for number, place in enumerate(self.page.locator(part).filter(visible=True).all()):
+                boxes[f"{part} {number}"] = place.bounding_box()
+        assert len(boxes) >= 8
+        for (first, a), (second, b) in combinations(boxes.items(), 2):
+            across = min(a["x"] + a["width"], b["x"] + b["width"]) - max(a["x"], b["x"])
+            down = min(a["y"] + a["height"], b["y"] + b["height"]) - max(a["y"], b["y"])
+            assert min(across, down) <= 0.5, f"{first} lies upon {second}"
+        size = self.page.viewport_size
+        for part, box in boxes.items():
+            assert 0 <= box["x"] <= box["x"] + box["width"] <= size["width"] + 0.5, part
+            assert 0 <= box["y"] <= box["y"] + box["height"] <= size["height"] + 0.5, part
+        assert self.ask("document.documentElement.scrollWidth") <= size["width"]
 
     def tap(self, place: tuple[float, float]) -> None:
         """Tap with a finger on a phone, click elsewhere; at once, for robots walk on."""
@@ -131,6 +151,11 @@ def test_every_opening_shows_the_difference(visit, robot):
         assert crossed == "Memory leapt the gap from memory."
         left, right = one.page.locator(".outcome").all_text_contents()
         assert (left[:10], right[:13]) == ("Fell after", "Leapt the gap")
+        # Beyond the gap is ground that it has never seen.
+        assert one.page.locator(".state .ahead").all_text_contents() == ["", UNSEEN_AHEAD]
+        colours = one.ask("Array.from(renetPage.page.view.robots[1].map.instanceColor.array)")
+        dots = 255 * np.reshape(colours, (-1, 3))
+        assert (np.abs(dots - rgb(UNSEEN_COLOUR)).max(axis=1) < 1).mean() > 0.5
         one.until("!document.querySelector('#verdict').textContent")
 
 
@@ -153,9 +178,11 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
     one.tap(ahead)
     one.until("document.querySelector('#asked').textContent === '1.00 m/s ahead'")
     one.until("renetPage.page.pace === 0")
+    one.demand_order((*PARTS, *NEWS))
     one.tap(noise)
     one.ask("delete renetPage.page.pace")
     one.until("document.querySelector('#verdict').textContent")
+    one.demand_order((*PARTS, *NEWS))
     assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
     assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")
     assert one.its("driver.driven"), "and still drives"
@@ -163,6 +190,7 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
 
 def test_every_control_answers_to_keys(visit):
     one = visit("?ground=flat&fault=none").load()
+    assert one.page.text_content("#pitch").endswith("the right robot remembers.")
     one.press("2", "-")
     fault = one.its("simulations.map(({ camera: { fault } }) => [fault.name, fault.severity])")
     assert fault == [["gaussian", 4]] * 2
@@ -177,6 +205,8 @@ def test_every_control_answers_to_keys(visit):
         one.press("m")
         assert one.its("simulations[1].controller.mode") == mode
         assert f"right={mode}" in one.page.url
+        # The left robot is in the mode switch.
+        assert "remembers" not in one.page.text_content("#pitch")
     one.press("i")
     assert one.page.locator("#hood").is_visible()
     one.until("renetPage.page.panels[1].curves.points.length > 3")
@@ -273,6 +303,51 @@ def test_a_visitor_drives_all_round_by_the_pad(visit, twist_address, size):
     told_soon(one, "x === 0 && y === 0 && z === 0")
 
 
+GAMEPAD = """navigator.getGamepads = () => [null, renetPad];
+globalThis.renetPad = { mapping: "standard", axes: [0, 0, 0, 0], buttons: [] };
+for (let n = 0; n < 17; n += 1) renetPad.buttons.push({ pressed: false, value: 0 }); 0"""
+"""Answers in the browser's place, as its Gamepad API does for an Xbox pad in the second port."""
+
+
+def plug_in(one: Visit, mapping: str) -> None:
+    one.ask(
+        f"""{{ const event = new Event("gamepadconnected");
+        event.gamepad = {{ mapping: "{mapping}" }};
+        dispatchEvent(event); }} 0"""
+    )
+
+
+def test_a_visitor_drives_all_round_by_a_gamepad(visit, twist_address):
+    one = visit("?ground=flat&fault=none", at=twist_address).load(WALKS)
+    one.ask(STAND)
+    one.ask(GAMEPAD)
+    plug_in(one, "")
+    one.until("document.querySelector('#message').textContent.includes('does not know')")
+    plug_in(one, "standard")
+    one.until("document.querySelector('#message').textContent.includes('left stick goes')")
+    one.ask("renetPad.axes = [0.05, -0.05, 0.05, 0]")  # Sticks are never quite in the middle.
+    begun = one.its("now")
+    one.until(f"renetPage.page.now > {begun} + 0.1")
+    assert not one.its("driver.driven")
+    for axes, condition in (
+        ([0, -1, 0, 0], "Math.abs(x - 1) < 1e-6 && y === 0"),
+        ([0, 0.5, 0, 0], "Math.abs(x + 0.3) < 1e-6"),
+        ([-1, 0, 0, 0], "y > 0.49 && x === 0"),
+        ([1, 0, 0, 0], "y < -0.49"),
+        ([0, 0, -1, 0], "z > 0.99 && y === 0"),
+        ([0, 0, 1, 0], "z < -0.99 && x === 0"),
+        ([0, 0, 0, 1], "x === 0 && y === 0 && z === 0"),
+    ):
+        one.ask(f"renetPad.axes = {axes}")
+        told_soon(one, condition)
+        one.ask("renetPad.axes = [0, 0, 0, 0]")
+        told_soon(one, "x === 0 && y === 0 && z === 0")
+    one.press("w")
+    told_soon(one, "x > 0")
+    one.ask("renetPad.buttons[1].pressed = true")
+    told_soon(one, "x === 0 && y === 0 && z === 0")
+
+
 def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     one = visit("?ground=flat&fault=none").load(WALKS)
     assert one.page.locator("#go i").filter(visible=True).all_text_contents() == ["▲"]
@@ -305,6 +380,12 @@ def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     mouse.move(x + 30, y)
     one.until("renetPage.page.notice.includes('cannot walk backward')")
     mouse.up()
+
+    one.ask("renetPage.page.notice = ''")
+    one.ask(GAMEPAD)
+    one.ask("renetPad.axes = [-1, 0, 0, 0]")
+    one.until("renetPage.page.notice.includes('cannot walk backward')")
+    assert one.its("driver.velocity") == {"forward": 0, "left": 0, "turnRate": 0}
 
 
 def test_ground_lies_all_round_and_robots_that_fell_are_put_back(visit):
@@ -410,19 +491,7 @@ def test_first_picture_is_the_golden_one(visit, name):
     if name == "hood":
         one.press("i")
     else:
-        boxes = {
-            f"{part} {number}": place.bounding_box()
-            for part in PARTS
-            for number, place in enumerate(one.page.locator(part).filter(visible=True).all())
-        }
-        assert len(boxes) >= 8
-        for (first, a), (second, b) in combinations(boxes.items(), 2):
-            across = min(a["x"] + a["width"], b["x"] + b["width"]) - max(a["x"], b["x"])
-            down = min(a["y"] + a["height"], b["y"] + b["height"]) - max(a["y"], b["y"])
-            assert min(across, down) <= 0.5, f"{first} lies upon {second}"
-        for part, box in boxes.items():
-            assert 0 <= box["x"] <= box["x"] + box["width"] <= size["width"] + 0.5, part
-    assert one.ask("document.documentElement.scrollWidth") <= size["width"]
+        one.demand_order(PARTS)
     compare(one.page.screenshot(), Path(__file__).with_name("golden") / f"{name}.png")
 
 

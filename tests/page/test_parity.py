@@ -89,6 +89,8 @@ def decision(controller: Controller) -> dict:
         "phase": str(decision.mode),
         "reason": str(selector.reason[0]),
         "state": str(selector.state[0]),
+        "unseen": bool(controller.pilot.unseen[0]),
+        "map_seen": controller.pilot.map_seen[0].tolist(),
         "observation": policy._history[0, -1].copy(),
     }
 
@@ -152,7 +154,7 @@ def compare(page: Path, folder: Path, mode: str, given: list, decided: list) -> 
     assert phases.count("walking") > 250
     for tick, (mine, its) in enumerate(zip(replayed, decided, strict=True)):
         walks = its["phase"] == "walking"
-        for name in ("vision", "reason", "state") if walks else ():
+        for name in ("vision", "reason", "state", "unseen", "map_seen") if walks else ():
             assert mine[name] == its[name], f"{name} at tick {tick}"
         for name in NUMBERS if walks else ("position",):
             message = f"{name} at tick {tick}"

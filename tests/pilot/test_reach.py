@@ -10,7 +10,7 @@ import pytest
 import renet
 from renet.bundle import Bundle
 from renet.errors import RenetError
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, STEPS_PER_TICK
 from renet.pilot import Pilot
 from renet.pilot.policy import BundlePolicy
 from renet.pilot.reach import HALF_WIDTH, STOPPING_MARGIN, Reach, direction_of, slowed
@@ -56,6 +56,20 @@ def test_the_way_back_has_been_walked():
     assert reach.ahead(np.zeros((1, 2))) == np.inf
 
 
+def test_points_are_seen_up_to_the_end_of_the_image_and_on_the_way_behind():
+    reach = Reach(1, distance=1.2)
+    points = np.array([(1.2, 0.0), (0.7, HALF_WIDTH), (0.75, 0.0), (-0.6, 0.9), (0.0, 0.9)])
+    np.testing.assert_array_equal(reach.covers(points), [[True, True, True, True, False]])
+    walk(reach, 1.0, (0.5, 0.0))
+    np.testing.assert_array_equal(reach.covers(points), [[False, True, False, True, False]])
+    # Half a metre on, and then to the left: what was ahead lies on the right.
+    walk(reach, 1.0, turn_rate=math.pi / 2)
+    points = np.array([(0.0, -0.65), (0.0, -0.75)])
+    np.testing.assert_array_equal(reach.covers(points), [[True, False]])
+    points = np.array([(HALF_WIDTH - 0.01, 0.0), (HALF_WIDTH + 0.01, 0.0)])
+    np.testing.assert_array_equal(reach.covers(points), [[True, False]])
+
+
 @pytest.mark.parametrize(
     ("told", "command", "expected"),
     [
@@ -96,11 +110,16 @@ class Told:
         return action
 
 
-def commanded(conduct: Any, mode: str = "memory") -> tuple[np.ndarray, np.ndarray]:
-    """Speeds told, and whether the ground ahead was unseen, of a camera that dies after 1 s."""
+def commanded(conduct: Any, mode: str = "memory") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Walk with a camera that dies after 1 s.
+
+    Returns the speeds told, whether the ground ahead was unseen, and how far ahead the middle of
+    the map showed ground that was seen, [T] each.
+    """
     pilot = renet.load("go1-parkour", mode=mode, unseen=conduct)
     told = Told(pilot, velocity=0.5)
     unseen = []
+    seen_to = []
     for step in range(200):
         # The recorded camera is healthy for two seconds.
         observation = WALKS["memory_observation"][min(step, 99)][None].copy()
@@ -111,12 +130,14 @@ def commanded(conduct: Any, mode: str = "memory") -> tuple[np.ndarray, np.ndarra
             image = WALKS["memory_images"][step // STEPS_PER_TICK][None].astype(np.float32) / 255
         pilot.step(observation, image, step * CONTROL_DT)
         unseen.append(bool(pilot.unseen[0]))
-    return np.concatenate(told.commands)[:, 0], np.array(unseen)
+        middle = pilot.map_seen[0].reshape(len(HEIGHT_MAP_X), -1)[:, len(HEIGHT_MAP_Y) // 2]
+        seen_to.append(max((x for x, seen in zip(HEIGHT_MAP_X, middle, strict=True) if seen)))
+    return np.concatenate(told.commands)[:, 0], np.array(unseen), np.array(seen_to)
 
 
 @pytest.mark.parametrize(("conduct", "speed"), [("walk", 0.5), ("slow", 0.3), ("stop", 0.0)])
 def test_conduct_at_the_end_of_seen_ground(conduct, speed):
-    speeds, unseen = commanded(conduct)
+    speeds, unseen, _ = commanded(conduct)
     first = int(np.argmax(unseen))
     walked = 0.5 * (first - 50) * CONTROL_DT
     assert unseen.any()
@@ -127,9 +148,21 @@ def test_conduct_at_the_end_of_seen_ground(conduct, speed):
 
 
 def test_robots_without_memory_go_on():
-    speeds, unseen = commanded("stop", mode="camera")
+    speeds, unseen, seen_to = commanded("stop", mode="camera")
     assert (speeds == 0.5).all()
     assert not unseen.any()
+    assert (seen_to == max(HEIGHT_MAP_X)).all()
+
+
+def test_the_map_of_a_robot_without_images_shows_less_and_less_seen_ground():
+    _, unseen, seen_to = commanded("walk")
+    last = np.flatnonzero(seen_to == max(HEIGHT_MAP_X))[-1]
+    walked = 0.5 * CONTROL_DT * (np.arange(len(seen_to)) - last)
+    spacing = HEIGHT_MAP_X[1] - HEIGHT_MAP_X[0]
+    left = max(HEIGHT_MAP_X) - walked[last:]
+    assert (seen_to[last:] <= left + 0.02).all()
+    assert (seen_to[last:] > left - spacing - 0.02).all()
+    assert seen_to[np.argmax(unseen)] == pytest.approx(STOPPING_MARGIN, abs=spacing)
 
 
 def test_an_unknown_conduct_is_refused():

@@ -10,7 +10,7 @@ from renet.errors import RenetError
 from renet.interface import JOINTS, LEGS
 from renet.motors import KINDS
 from renet.robots import GO1, GO2, Robot
-from renet.robots.model import FEET, load_model, rename_parts, simulation_model
+from renet.robots.model import FEET, load_robot_model, rename_parts, simulation_model
 from renet.tasks import VISUAL_GO1, make_env
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
 from renet.tasks.terrains import tile_row
@@ -84,7 +84,7 @@ def test_feet_hold_the_robot_above_the_ground(robot):
 
 def test_margins_of_a_vendors_geoms_are_dropped():
     robot = edited(lambda spec: [setattr(geom, "margin", 0.001) for geom in spec.geoms])
-    assert not load_model(robot).compile().geom_margin.any()
+    assert not load_robot_model(robot).compile().geom_margin.any()
     # Which MuJoCo Warp would have refused on boxes.
     make_env(tile_env_cfg(tile_row({"gap": 1}), robot=robot), 1).close()
 
@@ -121,7 +121,7 @@ def test_unnamed_foot_is_lowest_geom():
 def test_limits_and_armatures_are_the_descriptions():
     motors = {kind: replace(motor, armature=0.5) for kind, motor in GO2.motors.items()}
     limits = {".*_hip_joint": (-0.5, 0.6), ".*_thigh_joint": (0.0, 2.0), ".*_calf_joint": (-2, -1)}
-    for load in (load_model, simulation_model):
+    for load in (load_robot_model, simulation_model):
         model = load(replace(GO2, motors=motors, limits=limits)).compile()
         assert [tuple(model.joint(f"RL_{kind}_joint").range) for kind in KINDS] == [
             *limits.values()

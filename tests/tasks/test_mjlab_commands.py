@@ -8,7 +8,7 @@ from mjlab.viewer import NativeMujocoViewer
 
 from renet.curves import CURVES, read_curves
 from renet.sim.native.engine import use_engine
-from renet.training.checkpoint import load
+from renet.training.checkpoint import load_checkpoint
 
 from ..forked import fork
 
@@ -25,7 +25,7 @@ def test_train_takes_two_iterations_and_goes_on(tmp_path, monkeypatch):
             train.main()
     first, second = sorted(tmp_path.glob(f"{TASK}/*"))
     assert [path.name for path in first.glob("checkpoints/*")] == ["it_00000002"]
-    end = load(next(second.glob("checkpoints/*")))
+    end = load_checkpoint(next(second.glob("checkpoints/*")))
     assert (end.state["iteration"], end.state["steps"], end.state["task"]) == (
         4,
         4 * 4 * 5,

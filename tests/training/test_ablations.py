@@ -95,7 +95,7 @@ def test_differs_in_the_layers_it_names(row):
 
 def test_options_change_exactly_one_field():
     """Each row of the table of ablations; the parser of `renet train` reads one of them."""
-    page = (Path(__file__).parents[2] / "docs" / "how_it_works.md").read_text()
+    page = (Path(__file__).parents[2] / "benchmarks" / "NOTES.md").read_text()
     options = r"^\| ([\w/ ()-]+?) \| `(--agent\.model\.[^`]+)` \|"
     table = dict(re.findall(options, page, re.MULTILINE))
     assert set(table) == (set(ROWS) - {"default"}), "every row of the table is documented"

@@ -50,5 +50,5 @@ def test_weights_of_other_sizes_are_refused(tmp_path: Path, name: str, monkeypat
     monkeypatch.setattr(checkpoint, "load_state", lambda path: state)
     network = torch.nn.Linear(2, 3, bias=False)
     with pytest.raises(RenetError):
-        checkpoint.load(path, "cpu", network)
+        checkpoint.load_checkpoint(path, "cpu", network)
     assert name not in loaded

@@ -46,7 +46,9 @@ def test_resume_restores_everything(tmp_path):
     state = second.load(str(tmp_path))
     assert state["iteration"] == 2
     drawn = torch.rand(3)
-    torch.set_rng_state(checkpoints.load(checkpoints.find(tmp_path)).environment["torch_rng"])
+    torch.set_rng_state(
+        checkpoints.load_checkpoint(checkpoints.find(tmp_path)).environment["torch_rng"]
+    )
     assert torch.equal(drawn, torch.rand(3))
     assert second.alg.np3o.learning_rate == first.alg.np3o.learning_rate
     assert second.alg.np3o.cost_weight == first.alg.np3o.cost_weight
@@ -74,7 +76,10 @@ def test_new_rate_and_weight_are_obeyed(tmp_path):
 def test_time_budget_stops_with_a_checkpoint(runner, tmp_path):
     runner.learn(10_000, time_budget_s=0.5)
     assert 0 < runner.alg.iteration < 10_000
-    assert checkpoints.load(checkpoints.find(tmp_path)).state["iteration"] == runner.alg.iteration
+    assert (
+        checkpoints.load_checkpoint(checkpoints.find(tmp_path)).state["iteration"]
+        == runner.alg.iteration
+    )
 
 
 def test_refuses_a_checkpoint_of_another_model(tmp_path):
@@ -133,7 +138,7 @@ def test_batches_grow_with_the_steps_taken(runner):
 def test_checkpoint_states_settings_and_code(tmp_path):
     runner = make_runner(ToyEnv(), tmp_path, average_over=10)
     runner.learn(5)
-    found = checkpoints.load(checkpoints.find(tmp_path))
+    found = checkpoints.load_checkpoint(checkpoints.find(tmp_path))
     assert found.state["agent"]["algorithm"] == asdict(ONE_EPOCH) | {"cost_budget": [0.0] * 3}
     assert found.state["steps"] == 5 * 10 * 8
     assert found.state["code"].startswith("0.")
@@ -174,7 +179,7 @@ def test_stop_saves_last_update(tmp_path):
     env.step = ask
     newest = runner.learn(100)
     assert (newest.name, env.common_step_counter) == ("it_00000002", 26)
-    weights = checkpoints.load(newest).model
+    weights = checkpoints.load_checkpoint(newest).model
     assert all(torch.equal(weights[n], v) for n, v in runner.alg.model.state_dict().items())
 
 

@@ -4,6 +4,7 @@
 import { FrameBuffer } from "./frames.js";
 import { heading, observe, projectedGravity } from "./observation.js";
 import { Policy } from "./policy.js";
+import { Reach, directionOf } from "./reach.js";
 import { Selector } from "./selector.js";
 import { STEERINGS, STILL, limitedVelocity } from "./steering.js";
 
@@ -22,7 +23,9 @@ export class Controller {
     this.contract = contract;
     this.cfg = contract.safety;
     this.policy = new Policy(manifest, contract, sessions);
+    this.told = bundle.told;
     this.steering = new STEERINGS[bundle.told](contract.steering, contract.controlDt);
+    this.reach = new Reach(contract.reach, contract.controlDt);
     this.selectors = bundle.selectors;
     this.choose(mode);
     this.frames = new FrameBuffer();
@@ -50,6 +53,9 @@ export class Controller {
     this.selector.reset();
     this.action = new Float32Array(this.robot.joints.length);
     this.trusted = true;
+    this.reach.reset();
+    /** Whether the command leads to ground that the robot has not seen. */
+    this.unseen = false;
     /** The velocity that is asked for, within limits. */
     this.asked = STILL;
     this.driving = "";
@@ -87,6 +93,7 @@ export class Controller {
     this.asked = limitedVelocity(teleop, this.contract.steering);
     const told = this.steering.command(this.asked, heading(state.quaternion));
     this.observation = observe(state, this.robot, this.contract.proprioception, told, this.action);
+    this.noteReach(state.angularVelocity[2], told);
     this.policy.remember(this.observation);
     const fresh = this.policy.due && this.frames.take();
     if (this.policy.due) await this.look(fresh, now);
@@ -97,6 +104,19 @@ export class Controller {
     const command = this.limited(this.policy.jointTarget(this.action), state, this.rateAfter(now - this.since));
     this.trusted = this.selector.update(this.seen(fresh, now), now);
     return command;
+  }
+
+  /** Follow the motion since the last image; one that VP has just used is the new origin. */
+  noteReach(turnRate, told) {
+    this.reach.move(this.policy.velocityVp, turnRate);
+    if (this.policy.hasImage || this.mode !== "memory") this.reach.reset();
+    this.unseen = this.reach.ends(directionOf(told, this.told));
+  }
+
+  /** Whether a point of the base frame is on ground that the robot has seen, m. */
+  hasSeen(forward, left) {
+    // An image of the newest tick becomes the origin of the reach in the next step.
+    return this.policy.hasImage || this.reach.covers(forward, left);
   }
 
   /** One tick of vision and both estimators; bad images are withheld in the mode `memory` alone. */

@@ -1,4 +1,4 @@
-// Who steers both robots: the show, until a visitor takes over by keys or by the pad.
+// Who steers both robots: the show, until a visitor takes over by keys, by the pad or a gamepad.
 
 import { STILL } from "../control/steering.js";
 
@@ -12,6 +12,8 @@ const STEP = 0.1;
 /** m/s that a key adds to the forward speed, which stays. */
 const HELD = { left: 0.4, turnRate: 0.8 };
 /** m/s and rad/s while a key is held. */
+const DEAD_ZONE = 0.1;
+/** Share of its way that a stick must leave its middle to steer. */
 const ALIASES = { arrowup: "w", arrowdown: "s", arrowleft: "a", arrowright: "d", q: "j", e: "l" };
 /** Keys that do what keys of `renet deploy` do: browsers have arrows, and know when a key is let go. */
 
@@ -30,7 +32,7 @@ export class Driver {
     this.onTakeOver = onTakeOver;
     /** Keys that are held. */
     this.held = new Set();
-    /** Components that a pointer holds on the pad, m/s and rad/s. */
+    /** Components that a pointer or a gamepad holds, m/s and rad/s. */
     this.pad = {};
     this.giveBack();
   }
@@ -72,6 +74,13 @@ export class Driver {
     return component === "forward" && side > 0;
   }
 
+  /** Value of a component, m/s or rad/s, for a share of a stick's way to a side, -1 to 1. */
+  scaled(component, share) {
+    if (Math.abs(share) < DEAD_ZONE) return 0;
+    const [least, greatest] = this.steering.ranges[component];
+    return share > 0 ? Math.min(share, 1) * greatest : -Math.max(share, -1) * least;
+  }
+
   /**
    * Take a key that goes down.
    * @param {string} given its name, in lower case.
@@ -101,7 +110,7 @@ export class Driver {
   }
 
   /**
-   * Take components that a pointer holds on the pad.
+   * Take components that a pointer holds on the pad, or the sticks of a gamepad.
    * @param {Partial<Velocity>} wished
    */
   steer(wished) {
@@ -120,7 +129,7 @@ export class Driver {
   }
 
   /**
-   * Take the news that a pointer left the pad's components.
+   * Take the news that a pointer or a gamepad let components go.
    * @param {string[]} components that it held.
    * @param {boolean} keeps whether the forward speed stays, as it does after a key.
    */

@@ -2,8 +2,6 @@
 
 /** @typedef {import("../control/steering.js").Velocity} Velocity */
 
-const DEAD_ZONE = 0.1;
-/** Share of its way that a stick must leave its middle to steer. */
 const TAP = 6;
 /** Pixels from where a pointer went down within which it taps, and does not drag. */
 /** Arrows of the stick that goes, by their class: the component and the side of each. */
@@ -56,21 +54,15 @@ class Stick {
     const reach = this.reach;
     const across = (left + width / 2 - clientX) / reach;
     const along = (top + height / 2 - clientY) / reach;
-    const wished = { [this.axes.across]: this.scaled(this.axes.across, across) };
-    if (this.axes.along) wished[this.axes.along] = this.scaled(this.axes.along, along);
-    this.driver.steer(wished);
+    const { driver, axes } = this;
+    const wished = { [axes.across]: driver.scaled(axes.across, across) };
+    if (axes.along) wished[axes.along] = driver.scaled(axes.along, along);
+    driver.steer(wished);
   }
 
   /** Pixels from the middle to where a stick gives all. */
   get reach() {
     return (this.element.clientWidth - this.knob.offsetWidth) / 2;
-  }
-
-  /** Value of a component for a share of the stick's way, m/s or rad/s. */
-  scaled(component, share) {
-    if (Math.abs(share) < DEAD_ZONE) return 0;
-    const [least, greatest] = this.driver.steering.ranges[component];
-    return share > 0 ? Math.min(share, 1) * greatest : -Math.max(share, -1) * least;
   }
 
   /** Put the knob where a velocity is, whoever asks for it. */

@@ -30,7 +30,8 @@ export class Panel {
       <div class="who"><select aria-label="Mode of this robot" title="Who drives this robot (M)">
         ${options.join("")}</select>
         <p class="outcome"></p></div>
-      <p class="state"><span class="driver"></span> <span class="why"></span> <span class="walked"></span></p>
+      <p class="state"><span class="driver"></span> <span class="why"></span> <span class="ahead"></span>
+        <span class="walked"></span></p>
       <figure class="eye"><canvas width="64" height="48"></canvas>
         <figcaption>what it gets</figcaption></figure>`;
     this.slot = slot;
@@ -69,6 +70,8 @@ export class Panel {
     const objects = state && selector.state !== "sees";
     const whose = controller.obeys ? "" : "memory would object: ";
     this.say("why", objects ? whose + selector.reason : "", "");
+    const { unseen } = this.palette;
+    this.say("ahead", state && controller.unseen ? unseen.says : "", "unseen");
     this.say("walked", state ? velocityWords(walked, WALKED) : "", "");
     this.show(this.depth, camera.frame?.image);
     this.eye.classList.toggle("broken", camera.broken(simulation.now));

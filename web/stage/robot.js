@@ -129,7 +129,7 @@ export class Robot {
     this.shadow.rotation.z = yaw;
   }
 
-  /** VP's map of the ground: in the colour of the state, black where it is wrong. */
+  /** VP's map of the ground: in the colour of the state, black where it is wrong; unseen ground in its own. */
   updateMap({ state, controller, world }, colour, heightAt) {
     const { heightMap } = controller.policy;
     this.map.visible = heightMap !== null && (state === "sees" || state === "remembers");
@@ -139,6 +139,7 @@ export class Robot {
     const [cosine, sine] = [Math.cos(yaw), Math.sin(yaw)];
     const place = new THREE.Matrix4();
     const [right, black, shade] = [new THREE.Color(colour), new THREE.Color(0), new THREE.Color()];
+    const unseen = new THREE.Color(this.contract.palette.unseen.colour);
     ahead.forEach((forward, i) => {
       left.forEach((side, j) => {
         const n = i * left.length + j;
@@ -147,7 +148,8 @@ export class Robot {
         const z = position[2] - baseHeight - heightMap[n];
         const wrong = Math.min(Math.abs(z - heightAt(x, y)) / WRONG, 1);
         this.map.setMatrixAt(n, place.setPosition(x, y, z + 0.005));
-        this.map.setColorAt(n, shade.lerpColors(right, black, wrong));
+        const seen = controller.hasSeen(forward, side);
+        this.map.setColorAt(n, seen ? shade.lerpColors(right, black, wrong) : unseen);
       });
     });
     this.map.instanceMatrix.needsUpdate = true;

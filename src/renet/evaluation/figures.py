@@ -19,7 +19,7 @@ from renet.evaluation.results import Provenance, column, group_by
 from renet.faults import fault_class
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT
-from renet.palette import BLIND, REMEMBERS, SEES
+from renet.palette import BLIND_COLOUR, REMEMBERS_COLOUR, SEES_COLOUR
 
 _LOSS = "#3c3ca0"
 _PROBABILITY = "#64aa5f"
@@ -33,9 +33,9 @@ INK = "#222730"
 FAINT = "#8a919c"
 """Colour of what is less important."""
 MODE_COLOURS = {
-    "camera": SEES,
-    "memory": REMEMBERS,
-    "blind": BLIND,
+    "camera": SEES_COLOUR,
+    "memory": REMEMBERS_COLOUR,
+    "blind": BLIND_COLOUR,
     "switch": "#009e73",
     "oracle": "#7d8590",
 }
@@ -293,7 +293,10 @@ def _draw_timeline(
     height = axis.get_xaxis_transform()
     axis.plot(time, anomaly, color=_LOSS, label="reconstruction loss")
     axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
-    for acts, colour, label in ((vision, SEES, "VP in charge"), (~vision, BLIND, "OP in charge")):
+    for acts, colour, label in (
+        (vision, SEES_COLOUR, "VP in charge"),
+        (~vision, BLIND_COLOUR, "OP in charge"),
+    ):
         look = {"color": colour, "alpha": 0.3, "linewidth": 0, "label": label}
         # A step's colour reaches until the next step.
         until_next = acts | np.insert(acts[:-1], 0, False)

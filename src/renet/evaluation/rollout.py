@@ -185,6 +185,7 @@ class Rollout:
         poses: list[np.ndarray] = []
         images: list[np.ndarray] = []
         maps: list[np.ndarray] = []
+        maps_seen: list[np.ndarray] = []
         self._reset()
         for step in progress(range(steps), title):
             action = self._act(step, trace)
@@ -197,6 +198,7 @@ class Rollout:
                     height_map = getattr(self.policy, "height_map", None)
                     if height_map is not None:
                         maps.append(height_map[list(film)])
+                        maps_seen.append(self.pilot.map_seen[list(film)])
             self._advance(action, step, trace)
             if retire and self._result.ended.any():
                 self._retire()
@@ -208,7 +210,8 @@ class Rollout:
                 break
         if not film:
             return trace
-        return replace(trace, film=Film(np.stack(poses), np.stack(images), np.array(maps)))
+        arrays = (np.stack(poses), np.stack(images), np.array(maps), np.array(maps_seen))
+        return replace(trace, film=Film(*arrays))
 
     def _reset(self) -> None:
         """Put every robot at its start, with vision trusted."""
@@ -251,6 +254,7 @@ class Rollout:
             pilot.judge(seen, now=(step * UPDATES_PER_STEP + update + 1) * PHYSICS_DT)
             trace.trusted[step, update] = pilot.trusted
         trace.vision[step] = pilot.vision
+        trace.unseen[step] = pilot.unseen
         trace.failing[step] = failing
         trace.anomaly[step] = self.policy.anomaly_score
         trace.probability[step] = pilot.probability

@@ -23,6 +23,8 @@ class Film:
     """[ticks, R, 48, 64] uint8, the depth image of each robot at each tick."""
     maps: np.ndarray
     """[ticks, R, 132] m, VP's height map after each tick; empty for policies without one."""
+    maps_seen: np.ndarray
+    """[ticks, R, 132] bool, True where that map shows ground that the robot has seen."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,8 @@ class Trace(TrueState):
     """bool: VP's newest tick had an image; without one, it goes on from memory."""
     map_error: np.ndarray
     """Error of VP's height map ahead that VP itself predicts, m."""
+    unseen: np.ndarray
+    """bool: the command leads to ground that the robot has not seen."""
     failing: np.ndarray
     """bool: the camera is failing."""
     trusted: np.ndarray
@@ -91,7 +95,7 @@ class Trace(TrueState):
     @classmethod
     def empty(cls, steps: int, count: int) -> Trace:
         """Room for `steps` control steps of `count` robots."""
-        flags = ("fell", "ended", "vision", "has_image", "failing")
+        flags = ("fell", "ended", "vision", "has_image", "unseen", "failing")
         arrays: dict[str, Any] = {}
         for field_ in fields(cls):
             name = field_.name

@@ -14,7 +14,7 @@ from renet.evaluation.painter import Painter, View
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
 from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT, STEPS_PER_TICK
-from renet.palette import STATES, rgb
+from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink, rgb
 from renet.terminal import progress
 
 _font = ImageFont.load_default
@@ -116,7 +116,11 @@ def _state(trace: Trace, step: int, robot: int) -> str:
 def _draw_map(
     image: Image.Image, view: View, painter: Painter, trace: Trace, step: int, robot: int
 ) -> None:
-    """Draw VP's map of the ground, as the web page does: in the state's colour, black if wrong."""
+    """Draw VP's map of the ground, as the web page does.
+
+    Dots are in the state's colour, and darker up to black the more they are wrong. Those on ground
+    that the robot has not seen have a colour of their own.
+    """
     tick = step // STEPS_PER_TICK
     state = _state(trace, step, robot)
     film = trace.film
@@ -130,6 +134,7 @@ def _draw_map(
     points = pose[:3] + Rotation.from_euler("z", yaw).apply(grid)
     error = np.abs(points[:, 2] - painter.heights(points)) / _BLACK_ERROR
     colours = np.array(rgb(STATES[state][0])) * (1 - np.clip(error, 0, 1))[:, None]
+    colours[~film.maps_seen[tick, robot]] = rgb(UNSEEN_COLOUR)
     draw = ImageDraw.Draw(image)
     ground = view.ground
     for (x, y, scale), colour in zip(view.pixels(points), colours.astype(int), strict=True):
@@ -154,8 +159,11 @@ def _stamp(image: Image.Image, trace: Trace, step: int, robot: int, title: str, 
     draw.rectangle((0, 0, width, 24), fill=_SHADE)
     draw.text((8, 4), title, font=_font(14), fill=_WHITE)
     draw.rectangle((width - 92, 0, width, 24), fill=colour)
-    ink = _SHADE[:3] if sum(colour) > 380 else _WHITE
-    draw.text((width - 8, 4), state, font=_font(14), fill=ink, anchor="ra")
+    draw.text((width - 8, 4), state, ink(STATES[state][0]), font=_font(14), anchor="ra")
+    # Below it on the left: the robot walks towards ground that it has not seen.
+    if trace.unseen[step, robot]:
+        draw.rectangle((0, height - 46, 108, height - 22), fill=UNSEEN_COLOUR)
+        draw.text((8, height - 42), UNSEEN_AHEAD, ink(UNSEEN_COLOUR), font=_font(14))
     # Depth image with a frame that is red while the camera fails.
     depth = Image.fromarray(trace.film.images[step // STEPS_PER_TICK, robot])
     camera, camera_colour = (fault, _RED) if failing else ("camera healthy", _GREEN)

@@ -78,18 +78,23 @@ def identify(cfg: IdentifyCfg) -> Path:
     check_motion(log, fitted, valid_rows(robot, log))
     start = robot.described_motors
     if cfg.per == "kind":
-        start = np.stack([start[[joint_kind(j) == kind for j in JOINTS]].mean(0) for kind in KINDS])
+        start = _mean_of_kinds(start)
     _say(f"fitting {len(fitted) * log.period:.1f} s; each iteration replays them 13 times")
     fit = MotorFitter(robot, log, fitted, _say).fit(start)
     evidence = _evidence(cfg, log, robot, fit, (fitted, held_out))
     names = KINDS if cfg.per == "kind" else JOINTS
-    motors = {
-        name: MotorParameters(*(float(f"{value:.6g}") for value in values))
-        for name, values in zip(names, fit.motors, strict=True)
-    }
+    motors = {}
+    for name, values in zip(names, fit.motors, strict=True):
+        motors[name] = MotorParameters(*(float(f"{value:.6g}") for value in values))
     write_motors(cfg.out, MotorFit(description.name, motors, evidence))
     _show(names, fit, evidence)
     return cfg.out
+
+
+def _mean_of_kinds(motors: np.ndarray) -> np.ndarray:
+    """Mean of the legs' parameters for each kind of joint: [12, P] to [3, P]."""
+    kinds = np.array([joint_kind(joint) for joint in JOINTS])
+    return np.stack([motors[kinds == kind].mean(axis=0) for kind in KINDS])
 
 
 def look_up_robot(name: str) -> Robot:
@@ -129,7 +134,8 @@ def _split(log: MotionLog, share: float) -> tuple[range, range]:
 
 def _check_positions(robot: SuspendedRobot, log: MotionLog) -> None:
     """Raise RenetError for a joint that is measured where it cannot be."""
-    low, high = log.position.min(axis=0), log.position.max(axis=0)
+    low = log.position.min(axis=0)
+    high = log.position.max(axis=0)
     for joint, least, most, lower, upper in zip(
         JOINTS, low, high, robot.lower, robot.upper, strict=True
     ):
@@ -161,6 +167,13 @@ def _evidence(
             "described": _rmse(described_errors, weight, log.period),
             "measured": _rmse(measured_errors, weight, log.period),
         }
+    standard_errors = {}
+    for name, values in zip(names, fit.standard_error, strict=True):
+        known = zip(PARAMETERS, values, strict=True)
+        standard_errors[name] = {
+            parameter: None if math.isnan(value) else float(f"{value:.3g}")
+            for parameter, value in known
+        }
     return {
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "renet": code_version(),
@@ -177,13 +190,7 @@ def _evidence(
         "timestep_s": cfg.timestep,
         "iterations": fit.iterations,
         "rmse_rad": rmse,
-        "standard_error": {
-            name: {
-                parameter: None if math.isnan(value) else float(f"{value:.3g}")
-                for parameter, value in zip(PARAMETERS, values, strict=True)
-            }
-            for name, values in zip(names, fit.standard_error, strict=True)
-        },
+        "standard_error": standard_errors,
     }
 
 

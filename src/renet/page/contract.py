@@ -20,8 +20,9 @@ from renet.deploy.steering import FORWARD_ONLY, MAX_LEAD
 from renet.deploy.teleop import KEYS, STAND_KEY
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
-from renet.palette import STATES
+from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink
 from renet.pilot import PILOT_MODES
+from renet.pilot.reach import DISTANCE, HALF_WIDTH, STOPPING_MARGIN
 from renet.robots import Robot, find_robot
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
@@ -89,10 +90,20 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "near": NEAR,
         "covered": COVERED,
         "steady": STEADY,
-        "palette": {name: {"colour": c, "says": says} for name, (c, says) in STATES.items()},
+        "reach": {"distance": DISTANCE, "halfWidth": HALF_WIDTH, "margin": STOPPING_MARGIN},
+        "palette": _palette(),
         "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],
         "bundles": [_bundle(bundle) | {"title": _title(bundle, bundles)} for bundle in bundles],
     }
+
+
+def _palette() -> dict[str, dict[str, str]]:
+    """Colour, colour of text on it, and words of each state and of ground that was not seen."""
+    entries = STATES | {"unseen": (UNSEEN_COLOUR, UNSEEN_AHEAD)}
+    palette = {}
+    for name, (colour, says) in entries.items():
+        palette[name] = {"colour": colour, "ink": ink(colour), "says": says}
+    return palette
 
 
 def _steering() -> dict[str, Any]:

@@ -37,7 +37,16 @@ from renet.interface import (
 )
 from renet.pilot.images import ImageHolder, Images
 from renet.pilot.policy import BundlePolicy, Policy, checked, checked_depth
-from renet.pilot.reach import SPEEDS, STOPPING_MARGIN, UNSEEN, Reach, can_stop, direction_of, slowed
+from renet.pilot.reach import (
+    MAP_POINTS,
+    SPEEDS,
+    STOPPING_MARGIN,
+    UNSEEN,
+    Reach,
+    can_stop,
+    direction_of,
+    slowed,
+)
 from renet.selector import make_selector
 from renet.selector.monitors import Gate, SelectorInput
 from renet.selector.selector import BLIND, SEES, SELECTORS
@@ -254,6 +263,14 @@ class Pilot:
     def without_image(self) -> np.ndarray:
         """Time since VP's newest tick with an image, [N] s; infinite before the first."""
         return self._obeyed("without_image")
+
+    @property
+    def map_seen(self) -> np.ndarray:
+        """True where VP's height map shows ground that the robot has seen, [N, 132] bool."""
+        seen = self.reach.covers(MAP_POINTS)
+        # An image of the newest tick becomes the origin of the reach in the next step.
+        has_image = getattr(self.policy, "has_image", np.ones(self.num_robots, bool))
+        return seen | has_image[:, None]
 
     # Parts of `step`, for rollouts that judge more often than they act.
 

@@ -28,6 +28,8 @@ FOOTPRINT = (
     [i for i, y in enumerate(HEIGHT_MAP_Y) if abs(y) <= 0.15],
 )
 """Rows and columns of the height map under a robot and its next step."""
+MAP_POINTS = np.array([(x, y) for x in HEIGHT_MAP_X for y in HEIGHT_MAP_Y])
+"""Points of the height map in the base frame, [132, 2] m."""
 LARGEST_RELIEF = 0.15
 """Largest difference of heights within that footprint on ground on which robots stop, m."""
 SPEEDS = {"walk": np.inf, "slow": 0.3, "stop": 0.0}
@@ -84,6 +86,19 @@ class Reach:
         sideways = np.where(behind, np.inf, np.minimum(to_left, to_right))
         return np.minimum(to_end, sideways)
 
+    def covers(self, points: np.ndarray) -> np.ndarray:
+        """Return a mask of points on ground that was seen, [N, K] bool.
+
+        Args:
+            points: Points in the bases' frames, the same for all robots, [K, 2] m.
+        """
+        place = self._position[:, None] + _rotated(points, self._yaw[:, None])
+        ahead, left = np.moveaxis(place, -1, 0)
+        # At the moment of the image its outermost points count, whatever the rounding.
+        margin = 1e-9
+        beside = (np.abs(left) <= HALF_WIDTH + margin) | (ahead < 0.0)
+        return (ahead <= self.distance + margin) & beside
+
 
 def can_stop(ahead: np.ndarray, height_map: np.ndarray) -> np.ndarray:
     """Return a mask of robots that are at the end of the ground seen and can stop there, [N] bool.
@@ -137,11 +152,11 @@ def slowed(command: np.ndarray, told: Told, limit: np.ndarray) -> np.ndarray:
 
 
 def _rotated(vector: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rotate vectors [N, 2] counterclockwise by angles [N] rad."""
+    """Rotate vectors [..., 2] counterclockwise by angles [...] rad; shapes are broadcast."""
     cos = np.cos(angle)
     sin = np.sin(angle)
-    x, y = vector.T
-    return np.stack((cos * x - sin * y, sin * x + cos * y), axis=1)
+    x, y = np.moveaxis(vector, -1, 0)
+    return np.stack((cos * x - sin * y, sin * x + cos * y), axis=-1)
 
 
 def _distance(gap: np.ndarray, share: np.ndarray) -> np.ndarray:

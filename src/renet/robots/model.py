@@ -30,7 +30,7 @@ CCD_ITERATIONS = 50
 """Most iterations of its collision detection between convex geoms."""
 
 
-def load_model(robot: Robot) -> mujoco.MjSpec:
+def load_robot_model(robot: Robot) -> mujoco.MjSpec:
     """Load a robot's model without servos, with the joint limits and armatures of its description.
 
     Names are renet's (see `rename_parts`): bodies `trunk`, `FR_hip`, `FR_thigh`, `FR_calf`, …; the
@@ -61,7 +61,7 @@ def load_model(robot: Robot) -> mujoco.MjSpec:
 
 def simulation_model(robot: Robot) -> mujoco.MjSpec:
     """Load a robot's model with ideal servos and physics options, and without visual meshes."""
-    spec = load_model(robot)
+    spec = load_robot_model(robot)
     # What remains is what touches the ground, and what the viewer shows.
     for geom in list(spec.geoms):
         if not geom.contype and not geom.conaffinity:
@@ -173,7 +173,7 @@ def rename_parts(
     bodies: Mapping[str, str] | None = None,
     joints: Mapping[str, str] | None = None,
 ) -> mujoco.MjSpec:
-    """Rename the parts of a vendor's MJCF as `load_model` needs them, in place.
+    """Rename the parts of a vendor's MJCF as `load_robot_model` needs them, in place.
 
     Args:
         spec: The robot alone, without ground.

@@ -53,8 +53,8 @@ class Robot:
     foot_radius: float
     """Radius of the feet, m."""
     mjcf: Path | None = None
-    """File of the robot alone, in renet's names (see `model.load_model`). The runtime also reads
-    the lengths of the legs from it, without MuJoCo."""
+    """File of the robot alone, in renet's names (see `model.load_robot_model`). The runtime also
+    reads the lengths of the legs from it, without MuJoCo."""
     spec: Callable[[], Any] | None = None
     """Function that returns the robot alone as a new `mujoco.MjSpec`, in place of the file."""
     camera: MountCfg = field(default_factory=MountCfg)

@@ -9,7 +9,7 @@ from mjlab.asset_zoo.robots.unitree_go1 import go1_constants
 from mjlab.entity import EntityArticulationInfoCfg, EntityCfg
 
 from renet.robots import GO1, Robot
-from renet.robots.model import load_model
+from renet.robots.model import load_robot_model
 
 ACTION_CLIP = 4.8
 """Limit to which actions are clipped, in policy units: 1.2 rad of the Go1's joints (Extreme
@@ -26,7 +26,7 @@ def entity_cfg(robot: Robot) -> EntityCfg:
         init_state=EntityCfg.InitialStateCfg(
             pos=(0.0, 0.0, robot.height), joint_pos=dict(robot.pose), joint_vel={".*": 0.0}
         ),
-        spec_fn=partial(load_model, robot),
+        spec_fn=partial(load_robot_model, robot),
         articulation=EntityArticulationInfoCfg(
             actuators=tuple(_servos(robot)),
             soft_joint_pos_limit_factor=0.9,

@@ -49,9 +49,9 @@ BELOW = 1e-6
 """Distance from a surface to the start of the next ray downwards, m."""
 TOUCHED = 1
 """Bit of a geom's contype to which the robots' geoms respond."""
-CARRIED = 0
+SOLID = 0
 """MuJoCo's group of geoms that rays look for."""
-IGNORED = 5
+PASSABLE = 5
 """MuJoCo's group of geoms that rays pass through."""
 CORNER = np.array([TILE / 2, TILE / 2, 0.0])
 """Vector from a tile's corner to its middle, m."""
@@ -434,12 +434,12 @@ class _Rays:
         static = model.body_weldid[model.geom_bodyid] == 0
         carries = static & (model.geom_contype & TOUCHED > 0)
         self._model = model.__copy__()
-        self._model.geom_group[:] = np.where(carries, CARRIED, IGNORED)
+        self._model.geom_group[:] = np.where(carries, SOLID, PASSABLE)
         # Rays would pass through invisible geoms.
         self._model.geom_matid[:] = -1
         self._model.geom_rgba[:, 3] = 1.0
         self._data = data
-        self._groups = (np.arange(mujoco.mjNGROUP) == CARRIED).astype(np.uint8)
+        self._groups = (np.arange(mujoco.mjNGROUP) == SOLID).astype(np.uint8)
         self._position = (x, y)
         self._normal = np.zeros((3, 1))
 

@@ -150,7 +150,7 @@ def _run_date(run: Path) -> tuple[str, float]:
     return name, run.stat().st_mtime
 
 
-def load(
+def load_checkpoint(
     path: Path, device: str | torch.device = "cpu", model: nn.Module | None = None
 ) -> Checkpoint:
     """Read a checkpoint.

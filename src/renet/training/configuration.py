@@ -20,7 +20,7 @@ from renet.training.provenance import PLAIN, to_json
 _T = TypeVar("_T")
 PARTS = ("agent", "env")
 """The task's configurations in a file."""
-IGNORED = ("task", "code", *PARTS)
+NO_OPTIONS = ("task", "code", *PARTS)
 """Keys of a file that are no options of the command line."""
 UNSET = ("task", "resume", "config")
 """Options that a file cannot set."""
@@ -63,10 +63,10 @@ def options_of(settings: Mapping[str, Any], path: Path) -> dict[str, Any]:
     # Options that the file states win over those of the ground among its tiles.
     options = own_ground_of(settings)
     for name, value in settings.items():
-        if name in IGNORED:
+        if name in NO_OPTIONS:
             continue
         if name not in known:
-            raise unknown_name("setting", str(name), [*IGNORED, *known])
+            raise unknown_name("setting", str(name), [*NO_OPTIONS, *known])
         # JSON and YAML have no paths.
         if hints[name] == Path | None and isinstance(value, str):
             value = Path(value)

@@ -101,7 +101,7 @@ def load_networks(path: Path) -> RENet:
         raise RenetError(f"checkpoint {path} is incomplete or damaged: {error}") from error
     except (TypeError, ValueError, RuntimeError, OverflowError, AttributeError) as error:
         raise RenetError(f"{path}: the model's settings make no sense: {error}") from error
-    checkpoint = checkpoints.load(path, model=shapes)
+    checkpoint = checkpoints.load_checkpoint(path, model=shapes)
     model = RENet(cfg, critic_size)
     checkpoints.load_model(model, checkpoint.exported, path)
     return model.eval()

@@ -14,7 +14,7 @@ from renet.errors import RenetError
 from renet.tasks.env import RenetEnvCfg
 from renet.training.config import RenetRunnerCfg, to_tuples
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 PACKAGE = Path(__file__).parents[1]
 """Folder of the package, in which files of robots are."""
 PLAIN = (bool, int, float, str)
@@ -152,7 +152,7 @@ BOUNDS = {
 """Smallest and largest restored number of a setting, by the first pattern that matches its name."""
 
 
-def restore(value: T, stored: Any, name: str) -> T:
+def restore(value: _T, stored: Any, name: str) -> _T:
     """Copy a configuration, with the settings of a stored one.
 
     Settings that only one of the two has stay as they are, and so do functions and settings that

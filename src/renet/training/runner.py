@@ -243,7 +243,7 @@ class RenetRunner(OnPolicyRunner):
         algorithm = self.alg
         state = checkpoints.load_state(folder)
         checkpoints.check_model(algorithm.model.cfg, state, folder)
-        checkpoint = checkpoints.load(folder, self.device, algorithm.model)
+        checkpoint = checkpoints.load_checkpoint(folder, self.device, algorithm.model)
         checkpoints.load_model(algorithm.model, checkpoint.model, folder)
         try:
             self._restore(checkpoint)

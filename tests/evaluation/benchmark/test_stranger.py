@@ -7,12 +7,12 @@ import pytest
 from renet.evaluation.benchmark.stranger import stranger
 from renet.interface import JOINTS, LEGS
 from renet.robots import GO2
-from renet.robots.model import load_model
+from renet.robots.model import load_robot_model
 from renet.tasks import VISUAL_GO1
 
 
 def built(robot):
-    model = load_model(robot).compile()
+    model = load_robot_model(robot).compile()
     data = mujoco.MjData(model)
     for joint in JOINTS:
         data.joint(joint).qpos[0] = {"hip": 0.1, "thigh": 0.7, "calf": -1.5}[joint.split("_")[1]]

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from renet.robots import Robot
-from renet.robots.model import load_model
+from renet.robots.model import load_robot_model
 
 _GROWTH = 1.1
 """Length of the stranger's parts relative to the robot's."""
@@ -18,7 +18,7 @@ def stranger(robot: Robot, factor: float = _GROWTH) -> Robot:
     """A robot with every length multiplied by a factor; density, motors and gains stay."""
 
     def spec() -> mujoco.MjSpec:
-        return grow(load_model(robot), factor)
+        return grow(load_robot_model(robot), factor)
 
     position = tuple(factor * x for x in robot.camera.position)
     return replace(

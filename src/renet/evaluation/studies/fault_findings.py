@@ -22,7 +22,7 @@ _SURVIVAL_MARGIN = 0.02
 """Difference in survival from mode blind to mode memory from which on a setting is harmful."""
 _SEVERE = 3
 """Severity from which a fault that makes robots in mode camera fall must be noticed."""
-BLIND = {"frozen": ("frozen",), "uniform": ("blackout", "saturated", "occlusion")}
+BLINDING_FAULTS = {"frozen": ("frozen",), "uniform": ("blackout", "saturated", "occlusion")}
 """Faults that at severity 5 repeat one image, or leave one value in the whole image."""
 
 
@@ -207,7 +207,7 @@ def _blind_claims(runs: Runs) -> Runs:
     # Severity 5 repeats one image, or leaves one value in it.
     worst = select(runs, mode="memory", severity=5)
     claims = []
-    for what, faults in BLIND.items():
+    for what, faults in BLINDING_FAULTS.items():
         rows = [run for run in worst if run["fault"] in faults]
         robots = sum(column(rows, "vision_active_at_onset"))
         detected = sum(column(rows, "detected"))

@@ -18,7 +18,13 @@ STATE = (*POSE, "act", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied")
 """Inputs of a step beside the time. An environment is stepped only if all are finite."""
 
 INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "qacc", "act_dot")
-SENSED = ("sensordata", "actuator_length", "actuator_velocity", "actuator_force", "ten_length")
+SENSOR_FIELDS = (
+    "sensordata",
+    "actuator_length",
+    "actuator_velocity",
+    "actuator_force",
+    "ten_length",
+)
 FORCES = ("qfrc_actuator", "qfrc_bias", "qfrc_passive", "qfrc_constraint", "qfrc_smooth", "energy")
 PER_BODY = ("xpos", "xquat", "xmat", "xipos", "ximat", "subtree_com", "cvel", "subtree_linvel")
 PER_BODY += ("subtree_angmom", "cacc", "cfrc_int", "cfrc_ext")
@@ -94,7 +100,7 @@ def store_data(
 ) -> list[FieldCopy]:
     """List copies of results out of an MjData, without the rows of static bodies."""
     moving = moving_bodies(mj_model)
-    copies = whole_data(wp_data, mj_data, num_envs, (*INTEGRATED, *SENSED, *FORCES))
+    copies = whole_data(wp_data, mj_data, num_envs, (*INTEGRATED, *SENSOR_FIELDS, *FORCES))
     # The body of each row, by the fields that have such rows.
     bodies_of_rows: dict[tuple[str, ...], np.ndarray] = {PER_BODY: np.arange(mj_model.nbody)}
     for kind, names in ON_BODIES.items():

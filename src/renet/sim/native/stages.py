@@ -18,13 +18,13 @@ from renet.sim.native import mujoco_memory
 POSITION = ("mj_kinematics", "mj_comPos", "mj_camlight", "mj_tendon")
 CONTACTS = ("mj_makeM", "mj_factorM", "mj_collision")
 CONTACTS += ("mj_makeConstraint", "mj_island", "mj_projectConstraint")
-SENSED = ("mj_transmission", "mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
-UNSENSED = ("mj_transmission", "mj_fwdVelocity")
-UNSENSED += ("mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint")
+SENSOR_STAGES = ("mj_transmission", "mj_sensorPos", "mj_fwdVelocity", "mj_sensorVel")
+SENSORLESS_STAGES = ("mj_transmission", "mj_fwdVelocity")
+SENSORLESS_STAGES += ("mj_fwdActuation", "mj_fwdAcceleration", "mj_fwdConstraint")
 DRIVE = "drive"
 """Stage of the motors at the beginning of a physics step, which is not MuJoCo's (`drive` in
 engine.cpp)."""
-DERIVE = (*POSITION, *SENSED)
+DERIVE = (*POSITION, *SENSOR_STAGES)
 """Stages of `mj_forward` without contacts and accelerations."""
 INTEGRATORS = {
     mujoco.mjtIntegrator.mjINT_EULER: "mj_Euler",
@@ -78,9 +78,9 @@ def stages_of(model: mujoco.MjModel, steps: int, derive: bool, driven: bool = Fa
         step = ("mj_step",)
         last_step = ("mj_step",)
     else:
-        step = (*POSITION, *CONTACTS, *UNSENSED, INTEGRATORS[model.opt.integrator])
+        step = (*POSITION, *CONTACTS, *SENSORLESS_STAGES, INTEGRATORS[model.opt.integrator])
         # Sensors are computed in the last step alone.
-        last_step = (*POSITION, *CONTACTS, *SENSED, "mj_step2")
+        last_step = (*POSITION, *CONTACTS, *SENSOR_STAGES, "mj_step2")
     if driven:
         step = (DRIVE, *step)
         last_step = (DRIVE, *last_step)

@@ -1,0 +1,81 @@
+"""Films: what their pictures show of ground that a robot has not seen."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mediapy
+import mujoco
+import numpy as np
+import pytest
+
+from renet.evaluation import painter
+from renet.evaluation.trace import Film, Trace
+from renet.evaluation.video import film
+from renet.interface import HEIGHT_MAP_SIZE, MAP_HEIGHT
+from renet.palette import REMEMBERS_COLOUR, UNSEEN_COLOUR, rgb
+
+from .fakes import SCENE
+
+STEPS = 5
+"""Control steps of one vision tick."""
+
+
+def remembering(maps_seen: np.ndarray, unseen: bool) -> Trace:
+    """A robot without images that stands on flat ground and knows it."""
+    trace = Trace.empty(STEPS, 1)
+    trace.vision[:] = True
+    trace.unseen[:] = unseen
+    poses = np.zeros((STEPS, 1, 7))
+    poses[:, :, 2] = MAP_HEIGHT
+    poses[:, :, 3] = 1.0
+    images = np.zeros((1, 1, 48, 64), np.uint8)
+    maps = np.zeros((1, 1, HEIGHT_MAP_SIZE))
+    return replace(trace, film=Film(poses, images, maps, maps_seen[None, None]))
+
+
+@pytest.fixture
+def picture(monkeypatch):
+    """Draws the first picture of a trace's film, [height, width, 3]."""
+    pictures = []
+
+    def keep(frames, **options) -> bytes:
+        pictures.extend(frames)
+        return b"film"
+
+    monkeypatch.setattr(mediapy, "compress_video", keep)
+
+    def draw(trace: Trace, folder: Path) -> np.ndarray:
+        pictures.clear()
+        scene = mujoco.MjSpec.from_string(SCENE)
+        film(folder / "film.mp4", scene, trace, {0: "memory"}, "black", steps=[0])
+        return pictures[0]
+
+    return draw
+
+
+def count(picture: np.ndarray, colour: str) -> tuple[int, int]:
+    """Pixels of a colour on the ground, and in the lower left corner where words are."""
+    near = np.abs(picture.astype(int) - rgb(colour)).max(axis=2) < 8
+    words = np.zeros_like(near)
+    words[painter.PANEL[1] - 46 : painter.PANEL[1] - 22, :109] = True
+    ground = ~words
+    ground[:25] = False
+    return int(near[ground].sum()), int(near[words].sum())
+
+
+def test_unseen_ground_has_a_colour_of_its_own(picture, tmp_path):
+    everything = np.ones(HEIGHT_MAP_SIZE, bool)
+    seen = picture(remembering(everything, unseen=False), tmp_path)
+    assert count(seen, REMEMBERS_COLOUR)[0] > 1000
+    assert count(seen, UNSEEN_COLOUR) == (0, 0)
+
+    nothing = picture(remembering(~everything, unseen=False), tmp_path)
+    assert count(nothing, UNSEEN_COLOUR)[0] >= count(seen, REMEMBERS_COLOUR)[0]
+    assert count(nothing, REMEMBERS_COLOUR)[0] == 0
+
+
+def test_a_robot_that_walks_towards_it_says_so(picture, tmp_path):
+    everything = np.ones(HEIGHT_MAP_SIZE, bool)
+    ground, words = count(picture(remembering(everything, unseen=True), tmp_path), UNSEEN_COLOUR)
+    assert ground == 0
+    assert words > 1000

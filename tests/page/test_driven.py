@@ -1,0 +1,38 @@
+"""The page with a policy that was trained to be driven: its robot goes where it is told."""
+
+from pathlib import Path
+
+import pytest
+
+from renet.page.writer import WEB, PageCfg, write_page
+from tests.page.conftest import run_node
+
+CHECKPOINT = Path(__file__).parents[2] / "benchmarks" / "results" / "driving" / "checkpoint"
+COMMANDS = {
+    "ahead": (0.6, 0.0, 0.0),
+    "back": (-0.6, 0.0, 0.0),
+    "left": (0.0, 0.5, 0.0),
+    "right": (0.0, -0.5, 0.0),
+    "turn": (0.0, 0.0, 0.8),
+}
+"""Velocities ahead and to the left, m/s, and turn rates, rad/s."""
+
+
+@pytest.fixture(scope="module")
+def driven_page(node_page: Path, tmp_path_factory) -> Path:
+    pytest.importorskip("mjlab")
+    from renet.training.export import ExportCfg, export
+
+    folder = tmp_path_factory.mktemp("driven")
+    bundle = export(ExportCfg(checkpoint=CHECKPOINT, out=folder / "go1-driven"))
+    return write_page(PageCfg((bundle,), folder / "page"))
+
+
+def test_it_walks_back_and_sideways_and_turns(driven_page):
+    asked = [",".join(map(str, velocity)) for velocity in COMMANDS.values()]
+    walks = run_node("drive.mjs", WEB, driven_page, "?ground=flat&fault=none", "camera", *asked)
+    for (way, velocity), walk in zip(COMMANDS.items(), walks, strict=True):
+        assert not walk["fell"], way
+        walked = (walk["forward"], walk["left"], walk["turnRate"])
+        for component, wished in zip(walked, velocity, strict=True):
+            assert component == pytest.approx(wished, abs=0.2), way

@@ -1,0 +1,76 @@
+// How far the ground reaches that a robot has seen, from its motion since its last image.
+// Mirrors `src/renet/pilot/reach.py`.
+
+/** The ground that one robot has seen, in the frame of its base at its last image. */
+export class Reach {
+  /**
+   * @param {object} contract `reach` of the contract: distance and halfWidth of an image, margin within
+   *   which ground must have been seen, all m.
+   * @param {number} dt seconds of a control step.
+   */
+  constructor({ distance, halfWidth, margin }, dt) {
+    Object.assign(this, { distance, halfWidth, margin, dt });
+    this.reset();
+  }
+
+  /** Begin at a new image. */
+  reset() {
+    this.x = this.y = this.yaw = 0;
+  }
+
+  /**
+   * Advance the motion by one control step.
+   * @param {ArrayLike<number>} velocity ahead and to the left in the base frame, m/s.
+   * @param {number} turnRate rad/s.
+   */
+  move([ahead, left], turnRate) {
+    const [x, y] = this.turned(ahead, left);
+    this.x += this.dt * x;
+    this.y += this.dt * y;
+    this.yaw += this.dt * turnRate;
+  }
+
+  /** Metres from the base to the end of the ground seen, along a unit vector of its frame; zero: infinite. */
+  ahead([forward, left]) {
+    const [along, across] = this.turned(forward, left);
+    const toEnd = distance(this.distance - this.x, along);
+    // Behind the frame's origin there are no sides: the robot walks back on its own track.
+    if (this.x + this.margin * along < 0) return toEnd;
+    const toLeft = distance(this.halfWidth - this.y, across);
+    const toRight = distance(this.halfWidth + this.y, -across);
+    return Math.min(toEnd, toLeft, toRight);
+  }
+
+  /** Whether the end of the ground seen is near along a direction, as of `ahead`. */
+  ends(direction) {
+    return this.ahead(direction) < this.margin;
+  }
+
+  /** Whether a point of the base frame is on ground that was seen, m. */
+  covers(forward, left) {
+    const [x, y] = this.turned(forward, left);
+    const [ahead, side] = [this.x + x, Math.abs(this.y + y)];
+    // At the moment of the image its outermost points count, whatever the rounding.
+    const margin = 1e-9;
+    return ahead <= this.distance + margin && (side <= this.halfWidth + margin || ahead < 0);
+  }
+
+  /** A vector of the base frame in that of the last image. */
+  turned(forward, left) {
+    const [cosine, sine] = [Math.cos(this.yaw), Math.sin(this.yaw)];
+    return [cosine * forward - sine * left, sine * forward + cosine * left];
+  }
+}
+
+/** Unit vector in the base frame in which a command leads; zero where it asks to stand. */
+export function directionOf([forward, left], told) {
+  // Of a heading only the first number is a velocity.
+  const side = told === "heading" ? 0 : left;
+  const speed = Math.hypot(forward, side);
+  return speed > 0 ? [forward / speed, side / speed] : [0, 0];
+}
+
+/** Metres to a line that is `gap` away along its normal, in a direction of that cosine to it. */
+function distance(gap, cosine) {
+  return cosine > 1e-6 ? gap / cosine : Infinity;
+}

@@ -1,0 +1,43 @@
+// A gamepad: its left stick goes, its right one turns, as for `renet deploy --teleop joystick`.
+
+import { COMPONENTS } from "./driver.js";
+
+/** Axes of a gamepad that the browser calls standard, by the component that they steer. */
+const AXES = { left: 0, forward: 1, turnRate: 2 };
+/** Buttons that ask to stand: the lower and the right one of four. */
+const STOPS = [0, 1];
+const FOUND = "Gamepad: the left stick goes, the right one turns.";
+const UNKNOWN = "The browser does not know this gamepad's sticks: take an Xbox or a PlayStation pad.";
+
+/** Steers by the first gamepad with known sticks. */
+export class Gamepad {
+  /**
+   * @param {import("./driver.js").Driver} driver
+   * @param {(words: string) => void} onNotice told that a gamepad was found.
+   */
+  constructor(driver, onNotice) {
+    this.driver = driver;
+    /** Whether a stick was out of its middle when it was last read. */
+    this.steers = false;
+    addEventListener("gamepadconnected", ({ gamepad }) => onNotice(isKnown(gamepad) ? FOUND : UNKNOWN));
+  }
+
+  /** Read the gamepad; to be called in every control step, for gamepads send no events. */
+  read() {
+    const pad = navigator.getGamepads?.().find(isKnown);
+    const wished = {};
+    for (const [component, axis] of Object.entries(AXES)) {
+      // Axes grow to the right and backward, components to the left and ahead.
+      wished[component] = this.driver.scaled(component, pad ? -pad.axes[axis] : 0);
+    }
+    const steers = Object.values(wished).some((value) => value !== 0);
+    if (steers) this.driver.steer(wished);
+    else if (this.steers) this.driver.leave(COMPONENTS, false);
+    this.steers = steers;
+    if (STOPS.some((button) => pad?.buttons[button].pressed)) this.driver.press(" ");
+  }
+}
+
+function isKnown(pad) {
+  return pad?.mapping === "standard";
+}
