@@ -28,6 +28,8 @@ full oracle python benchmarks/judges.py oracle --study.out
 full oracle_withholds python benchmarks/judges.py oracle --withholds --study.out
 full himloco renet evaluate benchmark --jobs 2 --policy "$models/himloco.pt" --adapter himloco \
     --method himloco --out
+full robot-lab renet evaluate benchmark --jobs 2 --policy "$models/robot_lab.pt" --adapter robot-lab \
+    --method robot-lab --out
 full robogauge renet evaluate benchmark --jobs 2 --policy "$models/go2_moe_cts_124k.pt" --adapter robogauge \
     --method robogauge --out
 

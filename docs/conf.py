@@ -33,14 +33,16 @@ autodoc_mock_imports = ["pybullet", "pyrealsense2", "scipy", "unitree_legged_sdk
 # Packages offer again what their modules define.
 suppress_warnings = ["ref.python"]
 
-EMBEDDED = """```{raw} html
+EMBEDDED = """## The page, live
+
+```{raw} html
 <iframe src="demo/" title="Break its camera" loading="lazy"
   style="width: 100%; height: 60rem; border: 0"></iframe>
 <p><a href="demo/">Open it in a window of its own</a></p>
 ```"""
 
 COLAB = (
-    "[![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)]"
+    " [![Open in Colab](https://colab.research.google.com/assets/colab-badge.svg)]"
     "(https://colab.research.google.com/github/{}/blob/main/examples/walk.ipynb)"
 )
 

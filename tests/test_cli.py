@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 
 from renet import cli
+from renet.deploy.cfg import DeployCfg
+from renet.evaluation.demo import DemoStudy
 from renet.evaluation.results import Provenance
 from renet.terminal import progress
 
@@ -105,6 +107,32 @@ def test_the_shell_completes_commands_options_and_choices(capsys):
     _, script, _ = run(capsys, "--print-completion", "bash")
     out = subprocess.check_output(["bash", "-c", COMPLETE], input=script, text=True)
     assert out.splitlines() == ["demo deploy", "faults", "stairs stairs_up stairs_down"]
+
+
+@pytest.mark.parametrize("words", [["--bundle", "b"], ["--bundle=b"], ["b"]])
+def test_a_bundle_may_be_named_where_it_is_positional(words):
+    for place in (0, 2):
+        arguments = ["--seed", "4"]
+        arguments[place:place] = words
+        assert cli.parse(DeployCfg, arguments, "renet deploy").bundle == Path("b")
+    study = cli.parse(DemoStudy, ["--bundle", "b"], "renet demo")
+    assert study.bundle == Path("b"), "a study's has a name"
+
+
+def test_a_bundle_without_a_value_is_left_to_the_parser(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        cli.parse(DeployCfg, ["--bundle"], "renet deploy")
+    assert "--bundle" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("rank", "says"), [("0", "wait\n"), ("1", "")])
+def test_a_slow_command_speaks_at_once_and_once_for_all_ranks(capsys, monkeypatch, rank, says):
+    monkeypatch.setenv("RANK", rank)
+    slow = cli.Command("", "", options="renet.options:ExportCfg", beginning="wait")
+    slow.check(["run"], "renet export")
+    assert capsys.readouterr().out == says
+    slow.check(["--help"], "renet export")
+    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, 0])

@@ -68,13 +68,15 @@ def test_numbers_of_the_readme_are_those_of_the_studies():
         ]
 
 
-def test_pairs_of_the_film_are_those_of_the_demo():
+def test_counts_under_the_film_are_those_of_the_table():
     demo = result("shipped/demo.json")
-    crossed = {run["mode"]: run["crossed"] for run in demo["runs"]}
-    (pair,) = re.findall(r"pairs (\d+) left robots crossed and (\d+) right", README)
-    assert [int(count) for count in pair] == [crossed["switch"], crossed["memory"]]
+    gap = f"gap of {100 * demo['gap_m']:.0f} cm"
+    counts = r" which (\d+) of 100 robots cross with `switch` and (\d+) with `memory`"
+    (pair,) = re.findall(rf"unplugged before a {gap},{counts}", " ".join(README.split()))
+    (cells,) = (cells for obstacle, _, cells in LINES if obstacle == f"{gap}, unplugged")
+    _, switch, _, memory = cells.split(" | ")
+    assert pair == (switch, memory)
     assert demo["runs"][0]["robots"] == 20
-    assert f"a gap of\n{100 * demo['gap_m']:.0f} cm" in README
 
 
 def test_the_change_log_knows_this_version():

@@ -21,6 +21,8 @@ def test_the_drawings_of_the_docs_have_the_numbers_of_the_bundle(name):
     assert texts.count(f"{1000 * x:g} mm") == 2
     assert f"{1000 * z:g} mm" in texts
     assert f"{math.degrees(camera.pitch):.0f}° down" in texts
+    hip = mount_drawing.front_joints(Bundle.load(name).manifest.robot)
+    assert mount_drawing.millimetres(x - hip) in texts
     assert ("centred" in texts) == (y == 0.0)
     assert any(text.startswith(f"{1000 * abs(y):g} mm ") for text in texts) == (y != 0.0)
 
@@ -34,3 +36,20 @@ def test_a_drawn_robot_stands_on_its_feet(name):
     ahead = sorted(float(points[:, 0].mean()) for points in on_ground)
     assert np.diff(ahead)[1] > 0.3, "two feet in front and two behind"
     assert 0.2 < trunk[2] < 0.4
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_axis_meets_the_floor_where_the_middle_row_shows_it(name):
+    camera = Bundle.load(name).manifest.camera
+    height = 0.4
+    ahead = mount_drawing.floor_distance(camera, height)
+    # A point of the floor in the frame of the lens: turned by the pitch about the lateral axis.
+    forward = ahead * math.cos(camera.pitch) + height * math.sin(camera.pitch)
+    down = height * math.cos(camera.pitch) - ahead * math.sin(camera.pitch)
+    assert camera.cy + camera.fy * down / forward == pytest.approx(camera.cy)
+
+
+def test_front_joints_are_ahead_of_the_middle_and_behind_the_lens():
+    for name in SHIPPED:
+        manifest = Bundle.load(name).manifest
+        assert 0.15 < mount_drawing.front_joints(manifest.robot) < manifest.camera.position[0]

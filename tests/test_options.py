@@ -21,6 +21,9 @@ MISTAKES = {
     "train Renet-Go1-Flat --resume nowhere": "nothing to resume: nowhere does not exist",
     "train --resume latest": "write the task first",
     "train --seed 1": "Missing from renet train",
+    "train Renet-Go2-Flat --scene ground.npy": "the task has no tiles to put a scene among",
+    "train Renet-Go2-Parkour --scene ground.npy": "there is no scene ground.npy",
+    "train Renet-Go1-Parkour --scene . --scene-share 2": "--scene-share must be above 0",
 }
 TELL = """
 import sys

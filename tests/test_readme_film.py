@@ -54,9 +54,9 @@ def test_the_right_robot_remembers_and_the_left_one_believes_and_falls(
     assert (near(left, rgb(SEES_COLOUR)) | fell).all(), "it takes its last image for sight"
     assert near(right[0:5], rgb(SEES_COLOUR)).all()
     assert (near(right[30:], rgb(REMEMBERS_COLOUR)) | crossed[30:]).all()
-    # Each half says how it ended, in the last two seconds at least, and to the end.
+    # Each half says how it ended, in the last second at least, and to the end.
     for outcome in (fell, crossed):
-        assert outcome[-25:].all()
+        assert outcome[-12:].all()
         assert not outcome[:30].any()
     # Once it has fallen its picture stops.
     width = pictures.shape[2] // 2

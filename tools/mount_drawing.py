@@ -1,6 +1,7 @@
 """Draws where a bundle's camera sits on its robot: python tools/mount_drawing.py.
 
-The robot is that of its description, in the pose of the bundle; every number is the bundle's.
+The robot is that of its description, in the pose of the bundle; every number is the bundle's. The
+distances that are printed are for checking a mount (docs/deploy.md).
 """
 
 import io
@@ -27,6 +28,8 @@ SEEN = 0.12
 """Opacity of what the camera sees."""
 AROUND = 24
 """Points around a round shape."""
+BESIDE = 0.42
+"""Distance from the lens to its height's line, m, so that what the camera sees is not crossed."""
 
 
 def draw(bundle: Bundle) -> bytes:
@@ -34,8 +37,8 @@ def draw(bundle: Bundle) -> bytes:
     camera, robot = bundle.manifest.camera, bundle.manifest.robot
     shapes, trunk = robot_shapes(robot)
     x, y, z = camera.position
-    figure = Figure(figsize=(10, 3.3), layout="constrained")
-    side, above = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    side, above = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
     for axis, (first, second) in ((side, (0, 2)), (above, (0, 1))):
         for points in shapes:
             flat = (points - trunk)[:, [first, second]]
@@ -47,18 +50,46 @@ def draw(bundle: Bundle) -> bytes:
     floor = -trunk[2]
     side.axhline(floor, color=EDGE, linewidth=1.0)
     draw_view(side, camera, floor)
-    dimension(side, (0, z), (x, z), f"{1000 * x:g} mm", 0.12)
-    dimension(side, (x, 0), (x, z), f"{1000 * z:g} mm", 0.06)
-    above.plot(x, y, "o", color=LENS, markersize=6)
-    dimension(above, (0, y), (x, y), f"{1000 * x:g} mm", -0.25)
-    sideways = "centred" if not y else f"{1000 * abs(y):g} mm {'left' if y > 0 else 'right'}"
-    above.annotate(sideways, (x, y), (x + 0.06, y + 0.1), color=SIZES, fontsize=9)
-    side.set_title(f"{robot.name}, from the left: + is the middle of the trunk", fontsize=10)
-    above.set_title("from above (left is up); dot: the left infrared imager", fontsize=10)
+    hip = front_joints(robot)
+    side.plot(hip, 0, "o", color=SIZES, markersize=4)
+    dimension(side, (0, z), (x, z), millimetres(x), 0.2)
+    dimension(side, (hip, z), (x, z), millimetres(x - hip), 0.11)
+    dimension(side, (x, 0), (x, z), millimetres(z), BESIDE)
+    # Room for the upper length below the title.
+    side.set_ylim(floor - 0.02, z + 0.27)
+    draw_offset(above, x, y)
+    dimension(above, (0, y), (x, y), millimetres(x), -0.25)
+    marks = "+ middle of the trunk, red dot: front thigh joints"
+    side.set_title(f"{robot.name} from the left\n{marks}", fontsize=10)
+    above.set_title("from above (left is up)\nblue dot: the left infrared imager", fontsize=10)
     picture = io.BytesIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "renet"}):
         figure.savefig(picture, format="svg", metadata={"Date": None})
     return picture.getvalue()
+
+
+def millimetres(length: float) -> str:
+    """A length in m as a text in mm."""
+    return f"{round(1000 * length, 1):g} mm"
+
+
+def floor_distance(camera: CameraSpec, height: float) -> float:
+    """Distance ahead of a lens at a height, both in m, at which its axis meets the floor.
+
+    What stands there crosses the middle row of the image if the trunk is level.
+    """
+    return height / math.tan(camera.pitch)
+
+
+def front_joints(robot: RobotSpec) -> float:
+    """Distance from the middle of the trunk ahead to the axis of the front thigh joints, m.
+
+    The axis is as high as the middle of the trunk.
+    """
+    model = simulation_model(find_robot(robot.name)).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return float((data.joint("FL_thigh_joint").xanchor - data.body(TRUNK).xpos)[0])
 
 
 def robot_shapes(robot: RobotSpec) -> tuple[list[np.ndarray], np.ndarray]:
@@ -122,8 +153,20 @@ def draw_view(axis: Axes, camera: CameraSpec, floor: float) -> None:
     axis.plot(*zip(lens, middle, strict=True), color=LENS, linestyle="-.", linewidth=0.9)
     axis.plot(*lens, "o", color=LENS, markersize=6)
     axis.plot((x, x + 0.4), (z, z), color=LENS, linewidth=0.6)
-    down = math.degrees(camera.pitch)
-    axis.annotate(f"{down:.0f}° down", (x + 0.3, z - 0.06), color=SIZES, fontsize=9)
+    # Below the axis, left of a point on it.
+    place = (x + 0.6 * (middle[0] - x), z + 0.6 * (middle[1] - z) - 0.01)
+    down = f"{math.degrees(camera.pitch):.0f}° down"
+    axis.text(*place, down, color=SIZES, fontsize=9, ha="right", va="top")
+
+
+def draw_offset(axis: Axes, x: float, y: float) -> None:
+    """Draw the lens from above at (x, y), m, and its distance from the robot's middle."""
+    axis.plot((0, x + 0.1), (0, 0), color=EDGE, linestyle="-.", linewidth=0.8)
+    axis.plot(x, y, "o", color=LENS, markersize=6)
+    place = (x + 0.1, y + (0.1 if y > 0 else -0.1))
+    side = f"{millimetres(abs(y))} to the {'left' if y > 0 else 'right'}" if y else "centred"
+    arrow = {"arrowstyle": "->", "color": SIZES}
+    axis.annotate(side, (x, y), place, color=SIZES, fontsize=9, va="center", arrowprops=arrow)
 
 
 def dimension(
@@ -137,12 +180,21 @@ def dimension(
     axis.annotate("", (x1, y1), (x2, y2), arrowprops=arrow)
     for (a, b), (c, d) in ((start, (x1, y1)), (end, (x2, y2))):
         axis.plot((a, c), (b, d), color=SIZES, linewidth=0.5)
-    place = ((x1 + x2) / 2, y1 + 0.015) if level else (x1 + 0.015, (y1 + y2) / 2)
-    axis.text(*place, text, color=SIZES, fontsize=9, ha="center" if level else "left")
+    # Left of the end, where a longer length's line may pass.
+    place = (x2 - 0.012, y1 + 0.015) if level else (x1 + 0.015, (y1 + y2) / 2)
+    side, middle = ("right", "baseline") if level else ("left", "center")
+    axis.text(*place, text, color=SIZES, fontsize=9, ha=side, va=middle)
 
 
 if __name__ == "__main__":
     for name in SHIPPED:
+        bundle = Bundle.load(name)
         path = FIGURES / f"{name.split('-')[0]}_mount.svg"
-        write_atomically(path, draw(Bundle.load(name)))
-        print(path)
+        write_atomically(path, draw(bundle))
+        camera = bundle.manifest.camera
+        _, trunk = robot_shapes(bundle.manifest.robot)
+        height = trunk[2] + camera.position[2]
+        ahead = floor_distance(camera, height)
+        times = floor_distance(camera, 1.0)
+        print(f"{path}: lens {height:.2f} m above the floor, axis meets it {ahead:.2f} m ahead")
+        print(f"at other heights: {times:.2f} times the height")

@@ -42,6 +42,7 @@ LEADERBOARDS = {
         "full/oracle",
         "full/oracle_withholds",
         "full/himloco",
+        "full/robot-lab",
         "full/robogauge",
     ),
     "The quick set": ("go1-parkour", "playground", "himloco", "robogauge", "robot-lab"),

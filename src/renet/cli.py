@@ -13,7 +13,7 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from itertools import groupby
 from operator import attrgetter
@@ -48,9 +48,14 @@ class Command:
     options: str = ""
     """Dataclass MODULE:CONFIG of a command that loads PyTorch. It needs no PyTorch: `--help` shows
     it, and mistakes are found with it first."""
+    beginning: str = ""
+    """Line to print at once, by a command that is silent for long."""
 
     def check(self, arguments: list[str], program: str) -> None:
-        """Find mistakes without PyTorch; raises RenetError, or exits with code 2, as tyro does."""
+        """Find mistakes without PyTorch, and print the beginning.
+
+        Raises RenetError for a mistake, or exits with code 2, as tyro does.
+        """
         if not self.options or {"-h", "--help", HELP_ALL}.intersection(arguments):
             return
         module, config = self.options.split(":")
@@ -59,6 +64,9 @@ class Command:
         cfg = parse(options, known, program)
         if hasattr(cfg, "check"):
             cfg.check()
+        # Of several processes that train together, the first one speaks.
+        if self.beginning and os.environ.get("RANK", "0") == "0":
+            print(self.beginning, flush=True)
 
     def load(self, arguments: list[str]) -> tuple[Callable[[Any], Any], Any, list[str]]:
         """Import the function and the dataclass, and return them with the remaining arguments."""
@@ -87,7 +95,7 @@ _study = partial(Command, resume=KEPT)
 _bundle = partial(Command, extra="", group="Bundles")
 COMMANDS = {
     "demo": _walk(
-        "see who crosses a gap after the camera has died",
+        "see who crosses a gap with an unplugged camera",
         "renet.evaluation.demo:DemoStudy:run_demo",
         resume=KEPT,
     ),
@@ -112,8 +120,9 @@ COMMANDS = {
     ),
     "train": _train(
         "train RENet on a CPU or on GPUs",
-        "renet.training.train:TrainCfg:train",
+        "renet.training.train:TrainCfg:train_command",
         options="renet.options:UsualOptions",
+        beginning="Loading PyTorch and building the task; this takes a minute or two",
     ),
     "recipe": _train(
         "print every setting of a checkpoint or a new run",
@@ -305,9 +314,24 @@ def parse(config: Any, arguments: list[str], program: str) -> Any:
 
     # With DisallowNone, help shows an option of default None as `PATH`, not as `{None}|PATH`.
     options = getattr(config, "tyro_flags", (tyro.conf.DisallowNone,))
+    arguments = _with_positional_bundle(config, arguments)
     return tyro.cli(
         config, args=arguments, prog=program, config=options, **_default(config, arguments)
     )
+
+
+def _with_positional_bundle(config: Any, arguments: list[str]) -> list[str]:
+    """Put the value of `--bundle`, as studies call it, first where a command's bundle has no name.
+
+    The other arguments and a `--bundle` without a value are left to tyro.
+    """
+    kinds = {option.name: str(option.type) for option in fields(config)}
+    if "Positional" not in kinds.get("bundle", ""):
+        return arguments
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--bundle", nargs="?")
+    options, others = parser.parse_known_args(arguments)
+    return arguments if options.bundle is None else [options.bundle, *others]
 
 
 def _default(config: Any, arguments: list[str]) -> dict[str, Any]:

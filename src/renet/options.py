@@ -3,6 +3,7 @@
 import math
 import re
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib.metadata import entry_points
@@ -21,11 +22,17 @@ TASKS = tuple(
     for kind in ("Parkour", "Parkour-Paper", "Flat")
 )
 """Ids of the tasks that renet itself registers, which needs PyTorch."""
+FLAT_TASKS = tuple(task for task in TASKS if task.endswith("-Flat"))
+"""Those on a plane, without tiles."""
+NO_TILES = "the task has no tiles to put a scene among: train a Parkour task"
+"""Message about a scene for a task on a plane."""
 TASK = TASKS[0]
 PLUG_INS = "mjlab.tasks"
 """Group of entry points under which packages register tasks."""
 REGISTRY = "renet.registry"
 """renet's own entry point there."""
+STARTED = time.monotonic()
+"""Time of the monotonic clock at which this module was loaded, the first of a command, s."""
 LATEST = "latest"
 LOGS = Path("logs")
 SETTINGS = ("--env.", "--agent.")
@@ -48,7 +55,7 @@ class TrainOptions:
     resume: str | None = None
     """Run folder or checkpoint to go on from, with its settings; latest: the task's newest run."""
     time_budget: str | None = None
-    """Stop with a checkpoint before so much time has passed (90s, 25m, 8h)."""
+    """Stop with a checkpoint before the command has run for so long (90s, 25m, 8h)."""
     log_root: Path | None = None
     """Folder of runs, by default logs; with --resume another one leaves that run as it is."""
     device: str = "auto"
@@ -129,6 +136,23 @@ class UsualOptions(TrainOptions):
             raise RenetError(f"--film-every must not be negative, got {self.film_every}")
         seconds(self.time_budget)
         check_device(self.device)
+        if self.scene is not None:
+            check_scene(self.scene, self.scene_share, task)
+
+
+def check_scene(scene: Path, share: float, task: str) -> None:
+    """Raise RenetError for a scene that is missing, or that a task or a share cannot have."""
+    if task in FLAT_TASKS:
+        raise RenetError(NO_TILES)
+    check_share(share)
+    if not scene.exists():
+        raise RenetError(f"there is no scene {scene}")
+
+
+def check_share(share: float) -> None:
+    """Raise RenetError for a share of robots on a scene that is out of its range."""
+    if not 0.0 < share <= 1.0:
+        raise RenetError(f"--scene-share must be above 0 and at most 1, got {share:g}")
 
 
 def check_task(task: str) -> None:

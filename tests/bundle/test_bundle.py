@@ -78,6 +78,23 @@ def test_a_folder_comes_before_the_bundle_that_ships_under_its_name(bundle_path,
     assert Bundle.load().path == pretrained(DEFAULT)
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("go1-parcour", "did you mean go1-parkour"),
+        ("someone/walks", "is hf://someone/walks"),
+        ("mine", "or go1-parkour or go2-parkour, which ship"),
+    ],
+)
+def test_a_name_of_no_bundle_is_answered_with_what_to_write(tmp_path, monkeypatch, name, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RenetError, match=f"^no bundle at {name}: .*{words}"):
+        Bundle.load(name)
+    with pytest.raises(RenetError) as refused:
+        Bundle.load(tmp_path / "nowhere")
+    assert "hf://" not in str(refused.value)
+
+
 def test_missing_folder_missing_model_and_tampered_model(bundle_path, tmp_path):
     with pytest.raises(RenetError, match="no bundle at"):
         Bundle.load(tmp_path / "nowhere")

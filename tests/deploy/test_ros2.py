@@ -18,7 +18,7 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from renet.deploy.catalogue import Ros2Cfg
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.tick import MODES
-from renet.deploy.ros2 import TOPIC, Ros2Teleop, domain_of
+from renet.deploy.ros2 import TOPIC, Ros2Teleop, TwistStamped, domain_of
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
@@ -34,8 +34,8 @@ TOPICS = count()
 class Node:
     """A publisher in a process of its own."""
 
-    def __init__(self, topic: str) -> None:
-        command = [sys.executable, str(PUBLISHER), str(free_domain()), topic]
+    def __init__(self, topic: str, *frame: str) -> None:
+        command = [sys.executable, str(PUBLISHER), str(free_domain()), topic, *frame]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
         self._process = subprocess.Popen(command, **pipes)
         assert self._process.stdout.readline() == "ready\n"
@@ -91,6 +91,38 @@ def test_forward_turn_sideways_back_and_stop(teleop, node):
     for velocity in ((0.6,), (0.5, 0.0, -0.8), (0.0, 0.3), (-0.4,), (0.0,)):
         assert not hear(teleop, node, 1.0, *velocity).stop
     assert teleop.problem == ""
+
+
+@pytest.mark.parametrize("frame", ["", "base", "base_link", "base_footprint"])
+def test_stamped_messages_steer_whatever_their_frame(teleop, topic, frame):
+    """Names of 0 to 14 letters: the numbers behind them are aligned to eight bytes."""
+    stamped = Node(topic, frame)
+    for velocity in ((0.5, 0.1, -0.8), (-0.4,)):
+        hear(teleop, stamped, 1.0, *velocity)
+    assert teleop.problem == ""
+    until(lambda: refused(teleop, 1.1), lambda: stamped.write([math.nan] * 6))
+    assert teleop.command(1.01 + SILENCE) == TeleopCommand()
+    stamped.end()
+
+
+def test_the_newest_message_counts_whatever_its_type(teleop, node, topic):
+    stamped = Node(topic, "base_link")
+    hear(teleop, node, 1.0, 0.6)
+    hear(teleop, stamped, 1.1, 0.2)
+    hear(teleop, node, 1.2, 0.5)
+    teleop.command(3.0)
+    hear(teleop, stamped, 3.1, 0.3)
+    assert "2 publishers on" in teleop.problem
+    stamped.end()
+
+
+@pytest.mark.parametrize("size", [0, 3, 4, 8, 15, 40])
+def test_a_stamped_message_that_was_cut_is_none(size):
+    whole = b"\0\1\0\0" + bytes(8) + b"\5\0\0\0base\0" + bytes(7) + bytes(48)
+    assert TwistStamped.deserialize(whole).values is not None
+    assert TwistStamped.deserialize(whole[:size]).values is None
+    endless = whole[:12] + b"\xff" * 4 + whole[16:]
+    assert TwistStamped.deserialize(endless).values is None
 
 
 def test_a_silent_topic_stops_the_robot(teleop, node):

@@ -96,8 +96,8 @@ def test_the_page_says_what_was_measured_and_needs_no_network(tmp_path, monkeypa
     monkeypatch.setattr(demo, "FILM_SPAN", (0.2, 0.6))
     sentence = run_demo(DemoStudy(tmp_path, robots=3, seconds=3.4), GapEvaluator(9.0))
     assert sentence == (
-        "The camera dies 0.5 s before a gap of 37 cm: of 3 robots each cross 0 in mode switch,"
-        " 0 in mode camera, 0 in mode oracle, 3 in mode memory."
+        "The camera is unplugged 0.5 s before a gap of 57 cm: of 3 robots each cross 0 in mode"
+        " switch, 0 in mode camera, 0 in mode oracle, 3 in mode memory."
     )
     names = "index.html summary.md summary.json summary.csv demo.png film.mp4 parts"
     assert {path.name for path in tmp_path.iterdir()} == set(names.split())

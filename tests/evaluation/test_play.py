@@ -1,16 +1,20 @@
 """Films: a real short one, and the mistakes that stop one before it begins."""
 
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 
 from renet.bundle import Bundle, pretrained
 from renet.errors import RenetError
-from renet.evaluation import painter
+from renet.evaluation import painter, video
 from renet.evaluation.env import robot_of
 from renet.evaluation.play import PlayCfg, bundle_folder, run_play
+from renet.evaluation.trace import Trace
 from renet.robots import GO1
 from renet.tasks import VISUAL_GO1
 
@@ -46,6 +50,39 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
     film = run_play(replace(cfg, seconds=1.0, viewer="none"))
     assert film.stat().st_size > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def end_ffmpeg() -> None:
+    """Send TERM to the ffmpeg that this process has started, as to a whole process group."""
+    for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split():
+        if "ffmpeg" in Path(f"/proc/{pid}/comm").read_text():
+            os.kill(int(pid), signal.SIGTERM)
+
+
+@pytest.mark.parametrize(
+    ("interrupted", "error", "words"),
+    [
+        (True, KeyboardInterrupt, r"the film .*film\.mp4 is not written"),
+        (False, RenetError, r"cannot write .*film\.mp4: .*\w"),
+    ],
+)
+def test_a_film_whose_encoder_is_ended_says_why_there_is_none(
+    tmp_path, monkeypatch, interrupted, error, words
+):
+    def pictures(*_):
+        yield np.zeros((64, 64, 3), np.uint8)
+        end_ffmpeg()
+        if interrupted:
+            raise KeyboardInterrupt
+        # More than a pipe holds.
+        while True:
+            yield np.zeros((64, 64, 3), np.uint8)
+
+    monkeypatch.setattr(video, "_pictures", pictures)
+    with pytest.raises(error, match=words) as ended:
+        video.film(tmp_path / "film.mp4", mujoco.MjSpec(), Trace.empty(1, 1), {}, "")
+    assert "Error writing" not in str(ended.value)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["go1", "go2"])

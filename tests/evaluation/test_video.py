@@ -57,9 +57,9 @@ def count(picture: np.ndarray, colour: str) -> tuple[int, int]:
     """Pixels of a colour on the ground, and in the lower left corner where words are."""
     near = np.abs(picture.astype(int) - rgb(colour)).max(axis=2) < 8
     words = np.zeros_like(near)
-    words[painter.PANEL[1] - 46 : painter.PANEL[1] - 22, :109] = True
+    words[painter.PANEL[1] - 60 : painter.PANEL[1] - 30, :151] = True
     ground = ~words
-    ground[:25] = False
+    ground[:31] = False
     return int(near[ground].sum()), int(near[words].sum())
 
 

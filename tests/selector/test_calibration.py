@@ -152,6 +152,13 @@ def test_the_rate_of_false_alarms_is_shared_between_monitors() -> None:
     assert both["reconstruction"] == alone["reconstruction"]
 
 
+def test_a_false_alarm_every_two_hours_is_the_default() -> None:
+    runs = {"reconstruction": hours(0.3)}
+    by_default = calibrate_monitors(runs)
+    assert by_default == calibrate_monitors(runs, false_alarms_per_hour=0.5, rate_hz=10.0)
+    assert by_default != calibrate_monitors(runs, false_alarms_per_hour=0.6, rate_hz=10.0)
+
+
 @pytest.mark.parametrize(("apart", "bursts"), [(APART - 1, 1), (APART, 2)])
 def test_bursts_are_apart_from_ten_scores_on(apart: int, bursts: int) -> None:
     run = np.zeros(100)

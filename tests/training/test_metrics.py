@@ -3,11 +3,13 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
-from renet.training.metrics import CurvesWriter
+from renet.training.metrics import CurvesWriter, write_run_report
 
 from .conftest import ToyEnv, make_runner
 
@@ -35,6 +37,21 @@ def test_resumed_curves_replace_torn_rows(tmp_path):
         file.write("2,Loss/val")
     write(tmp_path, 3.0, 3)
     assert read_curves(tmp_path / CURVES) == {"Loss/value": {1: 2.0, 3: 3.0}}
+
+
+def ink(folder: Path) -> int:
+    """Number of pixels with the colour of a figure's first line."""
+    picture = np.asarray(Image.open(write_run_report(folder)).convert("RGB"), int)
+    return int((np.abs(picture - (31, 119, 180)).max(axis=-1) < 40).sum())
+
+
+def test_the_only_iteration_of_a_run_can_be_seen(tmp_path):
+    write(tmp_path, 0.5, 0)
+    assert ink(tmp_path) == 0, "it is in no panel"
+    writer = CurvesWriter(str(tmp_path), "tensorboard", "")
+    writer.add_scalar("Train/mean_reward", 3.0, 0)
+    writer.stop()
+    assert ink(tmp_path) > 8
 
 
 def test_curves_go_to_wandb(tmp_path, monkeypatch):

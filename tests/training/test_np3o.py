@@ -6,7 +6,7 @@ import torch
 
 from renet.models.actor_critic import Actor, Critics
 from renet.models.config import ModelCfg
-from renet.training import np3o
+from renet.training import distributed, np3o
 from renet.training.config import NP3OCfg
 from renet.training.storage import PolicyRollout
 
@@ -187,3 +187,61 @@ def test_rate_follows_divergence(kl, factor):
     algorithm._desired_kl, before = 0.01, algorithm.learning_rate
     algorithm._adapt_rate(torch.tensor(kl))
     assert algorithm.learning_rate == pytest.approx(factor * before)
+
+
+def test_a_step_learns_from_its_transitions_alone():
+    learnt = []
+    for other in (0.0, torch.nan):
+        torch.manual_seed(0)
+        # Budgets below zero: every constraint pushes.
+        algorithm = small(cost_budget=(-10.0, -10.0, -10.0))
+        rollout, last = random_rollout(algorithm)
+        targets = np3o.make_targets(rollout, last, algorithm.cfg)
+        batch = rollout.flatten()
+        for tensor in (*vars(batch).values(), targets.reward_advantage, targets.cost_advantage):
+            if tensor.is_floating_point():
+                tensor[15:] += other
+        targets.value_target[15:] += other
+        deviation = algorithm.actor.log_std.detach().exp()
+        algorithm._step(batch, targets, torch.arange(15), deviation)
+        learnt.append(algorithm.parameters)
+    assert all(torch.equal(*pair) for pair in zip(*learnt, strict=True))
+
+
+@pytest.mark.parametrize("kl", [0.0, 0.03])
+def test_rate_stays_without_a_desired_divergence(kl):
+    algorithm = small(learning_rate=1e-3, desired_kl=0.0)
+    algorithm._adapt_rate(torch.tensor(kl))
+    assert algorithm.learning_rate == pytest.approx(1e-3)
+
+
+def test_learns_where_its_networks_are():
+    """Not on the default device."""
+    algorithm = small()
+    rollout, last = random_rollout(algorithm)
+    with torch.device("meta"):
+        targets = np3o.make_targets(rollout, last, algorithm.cfg)
+        orders = algorithm.draw_orders(rollout)
+    assert targets.violation.device == rollout.value.device
+    assert all(order.device == rollout.value.device for order in orders)
+
+
+def test_ranks_that_see_alike_learn_as_one_process(monkeypatch):
+    def learnt() -> list[torch.Tensor]:
+        torch.manual_seed(0)
+        algorithm = small(num_learning_epochs=1)
+        rollout, last = random_rollout(algorithm)
+        algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0)
+        return algorithm.parameters
+
+    alone = learnt()
+    sums = []
+
+    def add_the_other_rank(total: torch.Tensor) -> None:
+        total.mul_(2)
+        sums.append(total.numel())
+
+    monkeypatch.setattr(distributed, "world_size", lambda: 2)
+    monkeypatch.setattr(distributed.dist, "all_reduce", add_the_other_rank)
+    assert all(torch.equal(*pair) for pair in zip(learnt(), alone, strict=True))
+    assert sum(parameter.numel() for parameter in alone) in sums, "gradients are averaged"

@@ -74,8 +74,12 @@ def test_new_rate_and_weight_are_obeyed(tmp_path):
 
 
 def test_time_budget_stops_with_a_checkpoint(runner, tmp_path):
+    runner.learn(1)
+    assert not runner.late, "its iterations are done"
     runner.learn(10_000, time_budget_s=0.5)
-    assert 0 < runner.alg.iteration < 10_000
+    assert runner.late
+    assert runner.longest > 0.0
+    assert 1 < runner.alg.iteration < 10_000
     assert (
         checkpoints.load_checkpoint(checkpoints.find(tmp_path)).state["iteration"]
         == runner.alg.iteration

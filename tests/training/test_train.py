@@ -4,6 +4,7 @@ import os
 import re
 import shutil
 import signal
+import time
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -96,6 +97,16 @@ def test_resumed_run_keeps_options(finished, tmp_path, capsys, monkeypatch):
     assert 0.0 < given[0] < 59.9, "the time budget counts from the start"
 
 
+def test_a_time_budget_that_loading_has_used_up_ends_the_run_and_says_so(tmp_path, capsys):
+    late = cfg(tmp_path, time_budget="60s", max_iterations=50)
+    run = train(late, started=time.monotonic() - 100.0)
+    (only,) = checkpoints.checkpoints(run / "checkpoints")
+    assert only.name == "it_00000001", "one iteration is always done"
+    (line,) = [row for row in capsys.readouterr().out.splitlines() if "time budget" in row]
+    assert re.match(r"Ended after 1\d\d s of the time budget of 60s: a further iteration", line)
+    assert f"--resume {run}" in line
+
+
 @pytest.mark.parametrize(
     ("robots", "fixed", "line"),
     [
@@ -150,7 +161,7 @@ def test_options_match_registered_tasks():
 
 def test_full_help_lists_task_settings(capsys):
     run, config, arguments = COMMANDS["train"].load([TASK, "--help-all"])
-    assert run is train
+    assert run is training.train_command
     with pytest.raises(SystemExit, match="0"):
         parse(config, arguments, "renet train")
     assert "--env.rewards.yaw.weight" in capsys.readouterr().out

@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 
 from renet.bundle.blocks import BlockSession, Session
 from renet.bundle.contents import COMPANIONS, MANIFEST, OURS, PREVIOUS
-from renet.bundle.hub import fetch, is_remote
+from renet.bundle.hub import REPOSITORY, fetch, is_remote
 from renet.bundle.manifest import NEWEST_SCHEMA, READABLE_SCHEMAS, Manifest
 from renet.bundle.models import (
     HAS_IMAGE,
@@ -133,7 +135,7 @@ def pretrained(name: str) -> Path:
 def read_manifest(folder: Path) -> Manifest:
     """Read and check `manifest.json` alone; raises RenetError, also for a file of no bundle."""
     if not folder.is_dir():
-        raise RenetError(f"no bundle at {folder}: give a folder made by `renet export`")
+        raise RenetError(f"no bundle at {folder}: {_instead(str(folder))}")
     # A link or a foreign file may lead out of the folder, or be lost when the bundle is replaced.
     for path in sorted(folder.iterdir()):
         regular = path.is_file() and (path.name in OURS or is_temporary(path.name))
@@ -149,6 +151,17 @@ def read_manifest(folder: Path) -> Manifest:
         raise RenetError(f"{folder} has manifest schema {schema}; this renet reads {readable}")
     source = f"the manifest {folder / MANIFEST}"
     return from_json(Manifest, value, source, "export the bundle anew")
+
+
+def _instead(name: str) -> str:
+    """Return what to give in place of a name that is no bundle's."""
+    nearest = get_close_matches(name, SHIPPED, cutoff=0.7)
+    if nearest:
+        return f"did you mean {' or '.join(nearest)}, which ship with renet?"
+    choices = f"give a folder made by `renet export`, or {' or '.join(SHIPPED)}, which ship"
+    if re.fullmatch(REPOSITORY, name):
+        choices += f"; a bundle on the Hugging Face Hub is hf://{name}"
+    return choices
 
 
 def write_bundle(path: Path, models: dict[str, bytes], manifest: Manifest) -> Path:

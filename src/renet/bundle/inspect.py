@@ -6,8 +6,9 @@ from pathlib import Path
 import tyro
 
 from renet.bundle import Bundle
-from renet.bundle.manifest import Manifest, RobotSpec
+from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec
 from renet.bundle.models import MODELS
+from renet.selector.selector import SelectorSpec
 from renet.terminal import show
 
 ELEMENTS = {
@@ -16,6 +17,26 @@ ELEMENTS = {
     "command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)"),
 }
 """Names of the numbers of a term. Every other term has one number for each joint."""
+
+UNITS = {
+    "steps": "of all robots together",
+    "seconds": "s",
+    "rate_hz": "1/s",
+    "false_alarms_per_hour": "1/h",
+    "healthy_hours": "h",
+    "longest_memory": "s",
+    "fx": "pixels",
+    "fy": "pixels",
+    "cx": "pixels",
+    "cy": "pixels",
+    "height": "pixels",
+    "width": "pixels",
+    "range": "m",
+    "position": "m: ahead, left, up from the middle of the trunk",
+    "pitch": "rad, downward",
+    "noise_std": "m",
+}
+"""Units of the fields of provenance, selector and camera, by their names."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +55,9 @@ def inspect(cfg: InspectCfg) -> None:
     robot = manifest.robot
     print(f"{bundle.name} {bundle.sha256[:12]}  {bundle.path}")
     sizes = [(bundle.path / f"{name}.onnx").stat().st_size for name in MODELS]
-    print(f"models {sum(sizes) / 1e6:.2f} MB, {manifest.provenance}")
-    print(f"selector {manifest.selector}")
-    print(f"camera {manifest.camera}")
+    print(f"models {sum(sizes) / 1e6:.2f} MB")
+    for part in ("provenance", "selector", "camera"):
+        show(part, ("name", "value", "unit"), field_rows(getattr(manifest, part)))
     header = ("action", "joint", "default rad", "range rad", "Kp", "Kd", "limit N m")
     show(robot.name, header, joint_rows(robot))
     print(
@@ -44,6 +65,28 @@ def inspect(cfg: InspectCfg) -> None:
         "positive angles turn about +x (hip) and +y (thigh, calf)"
     )
     show("proprioception o_t", ("index", "input", "unit", "scale"), input_rows(manifest))
+
+
+def field_rows(part: ProvenanceSpec | SelectorSpec | CameraSpec) -> list[tuple[str, str, str]]:
+    """Return name, value and unit of every field of a part of the manifest."""
+    rows = []
+    for name, value in vars(part).items():
+        if isinstance(value, dict):
+            # One line for each threshold of a monitor.
+            for key, number in value.items():
+                rows.append((f"{name}.{key}", _text(number), ""))
+        else:
+            rows.append((name, _text(value), UNITS.get(name, "")))
+    return rows
+
+
+def _text(value: object) -> str:
+    """Return a value without the digits that nobody needs, and without Python's quotes."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, (tuple, list)):
+        return ", ".join(map(_text, value))
+    return str(value)
 
 
 def joint_rows(robot: RobotSpec) -> list[tuple[int | str, ...]]:

@@ -228,7 +228,7 @@ class Ros2Cfg(TeleopCfg):
     silence: ClassVar[float | None] = 0.5
 
     topic: str = "cmd_vel"
-    """Topic of ROS 2 with messages of geometry_msgs/msg/Twist."""
+    """Topic of ROS 2 with messages of geometry_msgs/msg/Twist or TwistStamped."""
     ros_domain: int | None = None
     """ROS 2's domain; by default that of the variable ROS_DOMAIN_ID, or 0."""
     ros_interface: str = ""

@@ -5,19 +5,21 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from types import SimpleNamespace
 from typing import Any
 
-from renet.bundle import Bundle
-from renet.deploy.cameras.base import Camera
+from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest
+from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cfg import DeployCfg
-from renet.deploy.checklist import Checklist, count_readings, time_models
+from renet.deploy.checklist import SLOW, Checklist, count_readings, time_models
 from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.robots.envelope import demand_within
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
-from renet.deploy.teleop import ScriptedTeleop, Teleop
-from renet.errors import RenetError
+from renet.deploy.teleop import ScriptedTeleop, Teleop, TeleopCfg
+from renet.errors import RenetError, collected
+from renet.interface import Told
 
 CLOSE_TIMEOUT = 5.0
 """Time that a device may take to be closed, s; a robot that sinks takes 3 s."""
@@ -53,12 +55,16 @@ def start_devices(
     if not (cfg.driver.simulated or isinstance(robot, RealRobot)):
         stack.enter_context(claim(f"{cfg.robot} {cfg.driver.address}".rstrip()))
     camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
-    teleop = make_teleop(cfg)
+    teleop = None
+    with checklist.step(f"{cfg.teleop} can steer"):
+        teleop = make_teleop(cfg, bundle.manifest.told)
     # The stack closes in reverse: the robot first.
     for device in (teleop, camera, robot):
         stack.callback(close_device, device, say)
+    answers = False
     with checklist.step(f"{cfg.robot} answers"):
         robot.connect()
+        answers = True
     if refused := getattr(robot, "refused", ""):
         say(refused)
     if camera is not None:
@@ -68,10 +74,48 @@ def start_devices(
         if cfg.fault:
             camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed)
     if checklist.patience:
-        _check_pace(robot, bundle, cfg.driver.simulated, checklist)
+        # A simulated robot's readings are always in time, and a silent one sends none to count.
+        counted = answers and not cfg.driver.simulated
+        _check_pace(robot if counted else None, bundle, checklist)
     checklist.finish()
+    # Raised before, if there is none.
+    assert teleop is not None
     teleop.drain(robot.now())
     return robot, camera, teleop
+
+
+def missing_devices(cfg: DeployCfg, say: Callable[[str], None]) -> list[str]:
+    """Try the operator's device and a real camera alone, without a robot.
+
+    A dry run whose settings fail names with them whatever else is missing.
+
+    Returns:
+        A line for each problem. Those of the settings (`DeployCfg.problems`) are left out.
+    """
+    problems: list[str] = []
+    with ExitStack() as stack:
+        manifest = read_manifest(pretrained(cfg.driver.bundle or DEFAULT))
+        if _complete(cfg.operator):
+            with collected(problems):
+                stack.callback(close_device, make_teleop(cfg, manifest.told), say)
+        if not cfg.lens.simulated and _complete(cfg.lens):
+            # In place of the robot, whose clock is all that a camera needs.
+            clock: Any = SimpleNamespace(now=time.monotonic)
+            with collected(problems):
+                camera = cfg.lens.build(manifest.camera, clock, cfg.seed)
+                stack.callback(close_device, camera, say)
+                if camera is not None:
+                    _start_camera(camera, simulated=False, demanded=True)
+    return problems
+
+
+def _complete(part: CameraCfg | TeleopCfg) -> bool:
+    """Return True if a device's options pass their own check."""
+    try:
+        part.check()
+    except RenetError:
+        return False
+    return True
 
 
 def close_device(device: Any, say: Callable[[str], None]) -> None:
@@ -93,12 +137,11 @@ def close_device(device: Any, say: Callable[[str], None]) -> None:
         say(f"{type(device).__name__} {problem[0]}")
 
 
-def _check_pace(robot: RobotDriver, bundle: Bundle, simulated: bool, checklist: Checklist) -> None:
-    """Check that models and readings keep up with the control loop, as steps of the checklist."""
-    with checklist.step("the models are quick enough") as remarks:
+def _check_pace(robot: RobotDriver | None, bundle: Bundle, checklist: Checklist) -> None:
+    """Check that models and a robot's readings keep up with the control loop, as further steps."""
+    with checklist.step("the models are quick enough", SLOW) as remarks:
         remarks.append(time_models(bundle))
-    # A robot that did not answer sends no readings to count.
-    if not (simulated or checklist.failures):
+    if robot is not None:
         with checklist.step("the robot's readings come in time") as remarks:
             remarks.append(count_readings(robot))
 
@@ -131,12 +174,15 @@ def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
     return robot
 
 
-def make_teleop(cfg: DeployCfg) -> Teleop:
-    """Open the operator's device, and print how to steer with it."""
+def make_teleop(cfg: DeployCfg, told: Told) -> Teleop:
+    """Open the operator's device, and print how to steer a policy with it, by what it is told."""
     if cfg.teleop == "auto":
         return ScriptedTeleop(cfg.speed)
     teleop = cfg.operator.build(cfg.operator_timeout, cfg.driver.simulated)
-    print(f"{cfg.teleop}: {teleop.controls}")
+    controls = teleop.controls
+    if told == "heading":
+        controls = getattr(teleop, "controls_ahead", controls)
+    print(f"{cfg.teleop}: {controls}")
     if cfg.operator_timeout < math.inf:
         print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
     return teleop

@@ -12,7 +12,7 @@ from renet.bundle import Bundle
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.checklist import Checklist
 from renet.deploy.controller import Controller, Decision, Event
-from renet.deploy.devices import start_devices
+from renet.deploy.devices import missing_devices, start_devices
 from renet.deploy.display import VelocityDisplay
 from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
@@ -24,7 +24,7 @@ from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import HANGS, interruptible, watchdog
 from renet.deploy.teleop import Teleop
-from renet.errors import RenetError, reason
+from renet.errors import RenetError, collected, demand_none, reason
 from renet.folders import lock, move, new_folder
 from renet.interface import CONTROL_DT, JOINTS
 from renet.pilot.inference import InlineInference, ThreadedInference
@@ -48,7 +48,7 @@ def deploy(cfg: DeployCfg) -> Path:
             be used.
     """
     started = time.monotonic()
-    bundle = cfg.load_bundle()
+    bundle = _load_bundle(cfg)
     folder = cfg.out or Path("results/deploy") / f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
     # Locked before a robot is touched, so that no other run writes here.
     with lock(folder):
@@ -58,6 +58,19 @@ def deploy(cfg: DeployCfg) -> Path:
         if not recorder.hung:
             print(encodable(summary(write_score(read_recording(recorder.path), folder))))
     return folder
+
+
+def _load_bundle(cfg: DeployCfg) -> Bundle:
+    """Load the bundle; a dry run that cannot begin names also the devices that are missing."""
+    bundle = None
+    problems: list[str] = []
+    with collected(problems):
+        bundle = cfg.load_bundle()
+    if bundle is None and cfg.dry_run:
+        problems += missing_devices(cfg, print)
+    demand_none(problems)
+    assert bundle is not None
+    return bundle
 
 
 def _drive(cfg: DeployCfg, bundle: Bundle, folder: Path, started: float) -> Recorder:

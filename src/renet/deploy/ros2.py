@@ -1,28 +1,61 @@
 """Velocities from a ROS 2 topic, read through Cyclone DDS; ROS itself is not needed.
 
 ROS 2's topics are DDS topics by other names: `cmd_vel` is `rt/cmd_vel`, and the type of
-`geometry_msgs/msg/Twist` is `geometry_msgs::msg::dds_::Twist_`.
+`geometry_msgs/msg/Twist` is `geometry_msgs::msg::dds_::Twist_`. DDS connects only readers and
+writers of one type, so that a topic that may carry `Twist` or `TwistStamped` needs two readers.
 """
 
 import math
 import os
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from cyclonedds.idl import make_idl_struct, types
 
-from renet.deploy.robots.go2.messages import TWIST, message_type
+from renet.deploy.robots.go2.messages import CDR, TWIST, message_type
 from renet.deploy.robots.go2.network import Network
 from renet.deploy.teleop import Teleop, TeleopCommand, Velocity
 from renet.errors import RenetError
 
 Twist = message_type("Twist_", TWIST, "geometry_msgs.msg.dds_")
+"""Velocity: linear in m/s, angular in rad/s, x ahead, y left, z up."""
+Time = make_idl_struct(
+    "Time_", "builtin_interfaces.msg.dds_.Time_", {"sec": types.int32, "nanosec": types.uint32}
+)
+Header = make_idl_struct("Header_", "std_msgs.msg.dds_.Header_", {"stamp": Time, "frame_id": str})
+TwistStamped: Any = make_idl_struct(
+    "TwistStamped_", "geometry_msgs.msg.dds_.TwistStamped_", {"header": Header, "twist": Twist}
+)
+"""Velocity with a header. Its samples are those of `Twist`: the stamp is by a clock that need not
+be this computer's, and the frame is taken to be the base."""
+STAMP_SIZE = 8
+"""Bytes of a header's time."""
 TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 """Pattern of topic names of ROS 2, without names that ROS itself would expand."""
 LAST_DOMAIN = 232
 """Highest DDS domain, as the ports of higher ones do not exist."""
 COUNT_EVERY = 1.0
 """Time from one count of the publishers to the next, s."""
+
+
+def _twist_of(data: bytes, *arguments: Any, **options: Any) -> Any:
+    """Return the sample of `Twist` in the payload of a `TwistStamped`.
+
+    Its `values` are None if the payload is of another type or encoding, as those of `Twist`.
+    """
+    body = data[len(CDR) :]
+    # After the time come the size of the frame's name and the name; numbers of eight bytes begin
+    # at multiples of eight.
+    name = STAMP_SIZE + 4
+    end = name + int.from_bytes(body[STAMP_SIZE:name], "little")
+    start = end + -end % 8
+    return Twist.deserialize(data[: len(CDR)] + body[start:])
+
+
+TwistStamped.deserialize = staticmethod(_twist_of)
+TwistStamped.deserialize_key = staticmethod(Twist.deserialize_key)
 
 
 def domain_of(given: int | None) -> int:
@@ -69,7 +102,9 @@ class Ros2Teleop:
             RenetError: There is no such interface, or DDS fails.
         """
         self._topic = topic
-        self._reader = Network(interface, domain).reader(f"rt/{topic.removeprefix('/')}", Twist)
+        network = Network(interface, domain)
+        name = f"rt/{topic.removeprefix('/')}"
+        self._readers = (network.reader(name, Twist), network.reader(name, TwistStamped))
         self._keys = keys
         self._silence = silence
         self._velocity = Velocity()
@@ -79,7 +114,7 @@ class Ros2Teleop:
         self._malformed = False
         self._rises = rises
         self.attended = keys is not None
-        ends = "r stand up and walk, space stop, q quit" if keys else "Ctrl-C quits"
+        ends = "r stand up and walk, space brake, q quit" if keys else "Ctrl-C quits"
         self.controls = f"velocities of {topic} in domain {domain}, {ends}"
         self.problem = ""
         """Problem that the operator is to be told; empty if there is none."""
@@ -103,7 +138,8 @@ class Ros2Teleop:
 
     def drain(self, now: float) -> None:
         """Forget keys and messages from before the run."""
-        self._reader.take(1)
+        for reader in self._readers:
+            reader.take(1)
         if self._keys is not None:
             self._keys.drain(now)
 
@@ -113,7 +149,10 @@ class Ros2Teleop:
 
     def _listen(self, now: float) -> None:
         """Take over the newest message, if one came and its numbers are finite."""
-        for sample in self._reader.take(1):
+        samples = []
+        for reader in self._readers:
+            samples += reader.take(1)
+        for sample in samples:
             # Absent when a publisher has left, and None if the payload is of another type.
             values = getattr(sample, "values", None)
             if values is None:
@@ -131,7 +170,9 @@ class Ros2Teleop:
         """Return the topic's problem in a line; empty if there is none."""
         if now - self._counted >= COUNT_EVERY:
             self._counted = now
-            self._publishers = len(self._reader.get_matched_publications())
+            self._publishers = 0
+            for reader in self._readers:
+                self._publishers += len(reader.get_matched_publications())
         if self._malformed:
             return f"{self._topic} carries a value that is not finite: such messages are left out"
         if self._publishers > 1:

@@ -215,7 +215,9 @@ def draw_seeds(axis: Axes, runs: Sequence[Run], name: str, colour: str, label: s
     for row, run in enumerate(group):
         values[row] = [_value_at(run, name, step) for step in steps]
     count = f"{label} ({len(group)} seeds)" if len(group) > 1 else label
-    axis.plot(steps / 1e6, values.mean(axis=0), color=colour, label=count)
+    # A line of no length is invisible.
+    marker = "o" if begin == end else ""
+    axis.plot(steps / 1e6, values.mean(axis=0), color=colour, label=count, marker=marker)
     if len(group) > 1:
         low = values.min(axis=0)
         high = values.max(axis=0)

@@ -1,4 +1,4 @@
-"""Robots whose camera dies half a second before a gap, which memory crosses: `renet demo`."""
+"""Robots whose camera is unplugged before a gap, which memory crosses: `renet demo`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column
 from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
-from renet.evaluation.studies.one_try import EDGES
+from renet.evaluation.studies.one_try import EDGES, START_YAW
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
@@ -31,20 +31,21 @@ if TYPE_CHECKING:
 
 _GROUND = "gap"
 """Kind of tile."""
-_LEVEL = 5
-"""Its level: a gap of 37 cm."""
-_DEAD_CAMERA = ("unplugged", 5)
+_LEVEL = 8
+"""Its level: a gap of 57 cm."""
+_UNPLUGGED = ("unplugged", 5)
 """Fault and severity: no image any more."""
 _LEAD = 0.5
-"""Time before the edge, at the commanded speed, at which cameras die, s."""
+"""Time before the edge, at the commanded speed, at which cameras are unplugged, s. Robots start up
+to 0.3 m nearer or farther."""
 _STRIDE = 2
 """Number of control steps from one picture of the film to the next, at normal speed."""
 _SLOW_SECONDS = 2.0
-"""Time after the camera's death that the film shows at half speed, s."""
+"""Time after the fault's onset that the film shows at half speed, s."""
 GOAL_MARGIN = 0.5
 """Distance beyond the gap at which a robot has crossed it, m."""
 FILM_SPAN = (1.0, 3.2)
-"""Time that the film shows before and after the camera's death, s."""
+"""Time that the film shows before and after the fault's onset, s."""
 CONSEQUENCES = {
     "memory": "VP walks on from the ground that it remembers",
     "switch": "OP takes over once the image looks abnormal",
@@ -52,14 +53,14 @@ CONSEQUENCES = {
     "blind": "nothing changes: OP drives from the start",
     "oracle": "OP takes over at once, told of the fault",
 }
-"""Behaviour in each mode once the camera is dead."""
+"""Behaviour in each mode once the camera is unplugged."""
 _MAX_MEDIA_SIZE = 64_000_000
 """Size limit of the page's film and figure, bytes."""
 
 
 @dataclass(frozen=True)
 class DemoStudy(WalkingStudy):
-    """Watch robots whose camera dies half a second before a gap."""
+    """Watch robots whose camera is unplugged half a second before a gap."""
 
     out: Path = Path("renet-demo")
     """Folder for index.html, film.mp4, demo.png, summary.md, .json and .csv, and parts/."""
@@ -74,11 +75,11 @@ class DemoStudy(WalkingStudy):
         super().__post_init__()
         onset = self.onset * CONTROL_DT
         if self.seconds <= onset:
-            raise RenetError(f"seconds must be above {onset:g}, when cameras die: {self.seconds}")
+            raise RenetError(f"seconds must be above {onset:g}, when cameras fail: {self.seconds}")
 
     @property
     def onset(self) -> int:
-        """Control step at which cameras die."""
+        """Control step at which cameras are unplugged."""
         return max(round((EDGES[_GROUND] / self.speed - _LEAD) / CONTROL_DT), 0)
 
     @property
@@ -106,13 +107,16 @@ class DemoStudy(WalkingStudy):
         """Walk, and film twins of which the first mode's falls and the last mode's crosses."""
         from renet.evaluation.video import film
 
-        dead = (Injection.of(*_DEAD_CAMERA, self.onset, self.seconds),)
+        unplugged = (Injection.of(*_UNPLUGGED, self.onset, self.seconds),)
         each = self.robots_each
         trials = []
         for mode in self.modes:
-            trials += [Trial(mode, dead, robot, _GROUND) for robot in range(each)]
+            trials += [Trial(mode, unplugged, robot, _GROUND) for robot in range(each)]
         numbers = robot_numbers(trials)
-        env = evaluator.make_env({_GROUND: _LEVEL}, numbers, self.speed, self.seed)
+        # Straight at the gap, as in the success study: obliquely it is wider, and is reached later.
+        cfg = evaluator.terrain_env_cfg({_GROUND: _LEVEL})
+        cfg.events["spawn"].params["pose_range"]["yaw"] = (-START_YAW, START_YAW)
+        env = evaluator.make_env(cfg, numbers, self.speed, self.seed)
         env.place_on([_GROUND] * len(trials))
         steps = round(self.seconds / CONTROL_DT)
         rollout = evaluator.rollout(env, trials, self.seed)
@@ -129,7 +133,7 @@ class DemoStudy(WalkingStudy):
         self._forget()
         goal = EDGES[_GROUND] + self.gap + GOAL_MARGIN
         path = self.out / "film.mp4"
-        film(path, env.scene_spec, trace, titles, "no image", self.pace(trace), goal)
+        film(path, env.scene_spec, trace, titles, _UNPLUGGED[0], self.pace(trace), goal)
         return {
             "crossed": crossed,
             "fell": fell,
@@ -138,7 +142,7 @@ class DemoStudy(WalkingStudy):
         }
 
     def pace(self, trace: Trace) -> list[int]:
-        """Control steps of the film's pictures, at half speed just after the camera's death."""
+        """Control steps of the film's pictures, at half speed just after the fault's onset."""
         before = round(FILM_SPAN[0] / CONTROL_DT)
         after = round(FILM_SPAN[1] / CONTROL_DT)
         onset = self.onset
@@ -176,7 +180,7 @@ class DemoStudy(WalkingStudy):
         """Figure demo.png: number of robots that cross, a bar for each mode."""
         runs = summary["runs"]
         counts = dict(zip(column(runs, "mode"), column(runs, "crossed"), strict=True))
-        title = f"The camera dies {_LEAD} s before a gap of {100 * self.gap:.0f} cm: who crosses"
+        title = f"Unplugged {_LEAD} s before a gap of {100 * self.gap:.0f} cm: who crosses"
         return {"demo.png": figures.count_bars(counts, self.robots_each, title)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
@@ -185,7 +189,7 @@ class DemoStudy(WalkingStudy):
         for run in summary["runs"]:
             rows.append((run["mode"], run["crossed"], run["fell"], CONSEQUENCES[run["mode"]]))
         title = f"{self.robots_each} robots each before a gap of {100 * self.gap:.0f} cm"
-        return [(title, ("mode", "crossed", "fell", "when the camera dies"), rows)]
+        return [(title, ("mode", "crossed", "fell", "when the camera is unplugged"), rows)]
 
 
 def run_demo(study: DemoStudy, evaluator: Evaluator | None = None) -> str:
@@ -204,8 +208,8 @@ def headline(summary: Mapping[str, Any]) -> str:
     robots = summary["runs"][0]["robots"]
     counts = ", ".join(f"{run['crossed']} in mode {run['mode']}" for run in summary["runs"])
     return (
-        f"The camera dies {summary['before_s']} s before a gap of {100 * summary['gap_m']:.0f} cm:"
-        f" of {robots} robots each cross {counts}."
+        f"The camera is unplugged {summary['before_s']} s before a gap of "
+        f"{100 * summary['gap_m']:.0f} cm: of {robots} robots each cross {counts}."
     )
 
 

@@ -39,7 +39,7 @@ class PlayCfg:
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or a checkpoint or run folder; or the name of a bundle that comes with renet:
-    go1-parkour (the default), go2-parkour."""
+    go1-parkour (the default), go2-parkour; or hf://OWNER/NAME on the Hugging Face Hub."""
     out: Path | None = None
     """The film; results/play.mp4 by default."""
     terrain: Terrain | Literal["parkour"] = "gap"

@@ -1,5 +1,6 @@
 """Films of robots side by side, each with its depth image, VP's map of the ground and its state."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -28,6 +29,12 @@ DARK_RED = (170, 30, 25)
 """Background of the outcome "fell"."""
 _SHADE = (16, 18, 22, 190)
 """Background of texts, RGBA."""
+_BAR = 30
+"""Height of the bars above and below a picture, pixels."""
+_CHIP = 116
+"""Width of the state in the upper bar, pixels."""
+_TEXT = 20
+"""Size of the bars' texts, legible at half of the film's size, pixels."""
 _FPS = 25
 """Pictures per second, a divisor of the control rate."""
 _DOT = 0.025
@@ -61,10 +68,20 @@ def film(
     pictures = _pictures(spec, trace, titles, fault, steps, goal)
     try:
         video = mediapy.compress_video(pictures, fps=_FPS, crf=26)
-    except RuntimeError as error:
-        raise RenetError(f"cannot write {path}: {str(error).splitlines()[0]}") from error
+    # A pipe to an ffmpeg that has ended is broken.
+    except (RuntimeError, BrokenPipeError) as error:
+        if isinstance(error.__context__, KeyboardInterrupt):
+            # ffmpeg, which a signal may end, too, has no more to say.
+            raise KeyboardInterrupt(f"the film {path} is not written") from error
+        raise RenetError(f"cannot write {path}: {_reason(error)}") from error
     write_atomically(path, video)
     return path
+
+
+def _reason(error: Exception) -> str:
+    """First line of an error's text: ffmpeg's own words, without the temporary file's name."""
+    text = re.sub(r"^Error writing '.*?': ?", "", str(error)).strip()
+    return text.splitlines()[0] if text else "ffmpeg ended before the film did"
 
 
 def _pictures(
@@ -89,8 +106,9 @@ def _pictures(
         for view, (robot, at) in zip(views, shown.items(), strict=True):
             image = Image.fromarray(view.picture)
             _draw_map(image, view, painter, trace, at, robot)
-            _stamp(image, trace, at, robot, titles[robot], fault)
-            if trace.fallen[step, robot]:
+            fell = bool(trace.fallen[step, robot])
+            _stamp(image, trace, at, robot, titles[robot], fault, fell)
+            if fell:
                 _write_outcome(image, "fell", DARK_RED)
             elif trace.travelled[at, robot] >= goal:
                 _write_outcome(image, "crossed", DARK_GREEN)
@@ -101,9 +119,9 @@ def _pictures(
 def _write_outcome(image: Image.Image, outcome: str, colour: tuple[int, int, int]) -> None:
     """Write the end of a robot's try, large, and in place of its state."""
     draw = ImageDraw.Draw(image)
-    draw.text((12, 30), outcome, colour, font=_font(44), stroke_width=2, stroke_fill=_WHITE)
-    draw.rectangle((image.width - 92, 0, image.width, 24), fill=colour)
-    draw.text((image.width - 8, 4), outcome, font=_font(14), fill=_WHITE, anchor="ra")
+    draw.text((12, 36), outcome, colour, font=_font(44), stroke_width=2, stroke_fill=_WHITE)
+    draw.rectangle((image.width - _CHIP, 0, image.width, _BAR), fill=colour)
+    draw.text((image.width - 8, 3), outcome, font=_font(_TEXT), fill=_WHITE, anchor="ra")
 
 
 def _state(trace: Trace, step: int, robot: int) -> str:
@@ -147,8 +165,16 @@ def _draw_map(
             draw.ellipse((x - size, y - 0.6 * size, x + size, y + 0.6 * size), tuple(colour))
 
 
-def _stamp(image: Image.Image, trace: Trace, step: int, robot: int, title: str, fault: str) -> None:
-    """Draw texts and the robot's depth image on a picture."""
+def _stamp(
+    image: Image.Image,
+    trace: Trace,
+    step: int,
+    robot: int,
+    title: str,
+    fault: str,
+    fell: bool = False,
+) -> None:
+    """Draw texts and the robot's depth image on a picture; a robot that fell has no speed."""
     assert trace.film is not None
     failing = trace.failing[step, robot]
     draw = ImageDraw.Draw(image, "RGBA")
@@ -156,22 +182,25 @@ def _stamp(image: Image.Image, trace: Trace, step: int, robot: int, title: str, 
     state = _state(trace, step, robot)
     colour = rgb(STATES[state][0])
     # Upper bar: title and state.
-    draw.rectangle((0, 0, width, 24), fill=_SHADE)
-    draw.text((8, 4), title, font=_font(14), fill=_WHITE)
-    draw.rectangle((width - 92, 0, width, 24), fill=colour)
-    draw.text((width - 8, 4), state, ink(STATES[state][0]), font=_font(14), anchor="ra")
+    draw.rectangle((0, 0, width, _BAR), fill=_SHADE)
+    draw.text((8, 3), title, font=_font(_TEXT), fill=_WHITE)
+    draw.rectangle((width - _CHIP, 0, width, _BAR), fill=colour)
+    draw.text((width - 8, 3), state, ink(STATES[state][0]), font=_font(_TEXT), anchor="ra")
     # Below it on the left: the robot walks towards ground that it has not seen.
     if trace.unseen[step, robot]:
-        draw.rectangle((0, height - 46, 108, height - 22), fill=UNSEEN_COLOUR)
-        draw.text((8, height - 42), UNSEEN_AHEAD, ink(UNSEEN_COLOUR), font=_font(14))
+        top = height - 2 * _BAR
+        draw.rectangle((0, top, 150, top + _BAR), fill=UNSEEN_COLOUR)
+        draw.text((8, top + 3), UNSEEN_AHEAD, ink(UNSEEN_COLOUR), font=_font(_TEXT))
     # Depth image with a frame that is red while the camera fails.
     depth = Image.fromarray(trace.film.images[step // STEPS_PER_TICK, robot])
     camera, camera_colour = (fault, _RED) if failing else ("camera healthy", _GREEN)
-    draw.rectangle((width - 106, 32, width - 7, 107), fill=camera_colour)
-    image.paste(depth.resize((96, 72), Image.Resampling.NEAREST), (width - 104, 34))
+    draw.rectangle((width - 106, 38, width - 7, 113), fill=camera_colour)
+    image.paste(depth.resize((96, 72), Image.Resampling.NEAREST), (width - 104, 40))
     # Lower bar: distance, speed and camera.
-    draw.rectangle((0, height - 22, width, height), fill=_SHADE)
-    pace = f"{trace.travelled[step, robot]:.1f} m, {trace.speed[step, robot]:.1f} m/s"
-    draw.text((8, height - 19), pace, font=_font(13), fill=_WHITE)
-    place = (width - 8, height - 19)
-    draw.text(place, camera, font=_font(13), fill=camera_colour, anchor="ra")
+    draw.rectangle((0, height - _BAR, width, height), fill=_SHADE)
+    pace = f"{trace.travelled[step, robot]:.1f} m"
+    if not fell:
+        pace += f", {trace.speed[step, robot]:.1f} m/s"
+    draw.text((8, height - _BAR + 3), pace, font=_font(_TEXT), fill=_WHITE)
+    place = (width - 8, height - _BAR + 3)
+    draw.text(place, camera, font=_font(_TEXT), fill=camera_colour, anchor="ra")

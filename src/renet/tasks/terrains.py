@@ -7,6 +7,7 @@ from typing import Any, cast
 from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.errors import RenetError
+from renet.options import NO_TILES, check_share
 from renet.terrain.course import WIDTH, Course
 from renet.terrain.own_ground import KIND
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
@@ -107,10 +108,9 @@ def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -
     Raises:
         RenetError: The terrain has no tiles, or the share is out of its range.
     """
-    if not 0.0 < share <= 1.0:
-        raise RenetError(f"--scene-share must be above 0 and at most 1, got {share:g}")
+    check_share(share)
     if terrain is None or terrain.terrain_generator is None:
-        raise RenetError("the task has no tiles to put a scene among: train a Parkour task")
+        raise RenetError(NO_TILES)
     generator = terrain.terrain_generator
     if share == 1.0:
         generator.sub_terrains = cast(Any, {KIND: replace(tile, proportion=1.0)})

@@ -26,7 +26,10 @@ PANELS = (
     ("terrain level", LEVEL),
     ("velocity tracking reward", ("Episode_Metrics/lin_vel_reward",)),
     ("collisions", ("Episode_Metrics/collisions",)),
-    ("falls per reset step", ("Episode_Termination/fallen", "Episode_Termination/in_gap")),
+    (
+        "robots fallen, per step with restarts",
+        ("Episode_Termination/fallen", "Episode_Termination/in_gap"),
+    ),
     ("action noise", ("Policy/mean_std",)),
     ("constraint costs", tuple(f"Loss/cost_{name}" for name in CONSTRAINTS)),
     ("velocity loss (m²/s²)", ("Loss/op_velocity", "Loss/vp_velocity")),
@@ -39,6 +42,8 @@ PANELS = (
     ("env-steps/s", ("Perf/total_fps",)),
 )
 """Titles of the figure's panels, and their curves: a tuple of names, or a prefix of names."""
+SHORT_RUN = 20
+"""Number of iterations up to which each is a point, because a line through one is invisible."""
 PAST_WEIGHT = 0.9
 """Weight of past values in the figure's exponential moving averages."""
 
@@ -141,7 +146,8 @@ def write_run_report(run: Path) -> Path:
             values = [curves[name][iteration] for iteration in iterations]
             smooth = list(accumulate(values, _smooth))
             last[name] = smooth[-1]
-            axis.plot(iterations, smooth, label=name.split("/")[-1])
+            marker = "o" if len(iterations) <= SHORT_RUN else ""
+            axis.plot(iterations, smooth, marker=marker, markersize=4, label=name.split("/")[-1])
         axis.set(title=title, xlabel="iteration")
         axis.grid(alpha=0.3)
         if len(names) > 1:

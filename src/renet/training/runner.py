@@ -52,6 +52,10 @@ class RenetRunner(OnPolicyRunner):
         self._agent = deepcopy(train_cfg)
         self.stop = Event()
         """Request to stop as soon as possible, with a checkpoint; any thread may set it."""
+        self.longest = 0.0
+        """Duration of the longest iteration of the last `learn`, s."""
+        self.late = False
+        """True if the last `learn` ended because no further iteration fitted into its time."""
         # rsl_rl needs these keys, and removes the class name from the dictionary.
         train_cfg["algorithm"] |= {"class_name": self.algorithm, "rnd_cfg": None}
         super().__init__(env, train_cfg, log_dir, device)
@@ -102,16 +106,18 @@ class RenetRunner(OnPolicyRunner):
         self.open_log()
         first = self.alg.iteration
         last = first + num_learning_iterations
-        longest = 0.0
+        self.longest = 0.0
+        self.late = False
         while self.alg.iteration < last:
             # Leave time for one more iteration as long as the longest, and for its checkpoint.
             lap_start = time.monotonic()
             remaining = start + time_budget_s - lap_start
-            is_late = longest > 0.0 and remaining < 2.0 * longest
+            is_late = self.longest > 0.0 and remaining < 2.0 * self.longest
             if self._any_rank(self.stop.is_set() or is_late):
+                self.late = not self._any_rank(self.stop.is_set())
                 break
             obs = self._iterate(obs, first, last)
-            longest = max(longest, time.monotonic() - lap_start)
+            self.longest = max(self.longest, time.monotonic() - lap_start)
             report()
             if self.alg.iteration % self.cfg["save_interval"] == 0 and self.alg.iteration < last:
                 self.save()

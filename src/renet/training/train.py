@@ -24,7 +24,7 @@ from renet.curves import CURVES
 from renet.errors import RenetError, printable
 from renet.files import write_atomically
 from renet.folders import lock
-from renet.options import TASK, RecipeCfg, TrainOptions, check_device, seconds
+from renet.options import STARTED, TASK, RecipeCfg, TrainOptions, check_device, seconds
 from renet.settings_file import read_settings
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.tasks.terrains import add_own_ground
@@ -149,18 +149,28 @@ class TrainCfg(TrainOptions):
         return replace(cfg, env=restore(cfg.env, stored, "env"), agent=agent)
 
 
-def train(cfg: TrainCfg) -> Path | None:
+def train_command(cfg: TrainCfg) -> Path | None:
+    """Train as the command `renet train`, whose time budget counts from the command's start."""
+    return train(cfg, STARTED)
+
+
+def train(cfg: TrainCfg, started: float | None = None) -> Path | None:
     """Train, and return the run's folder (None on ranks above 0).
 
     Under torchrun, or any launcher that sets RANK, LOCAL_RANK and WORLD_SIZE, each process trains
     its own robots, and gradients are averaged. The first Ctrl-C or TERM stops training with a
     checkpoint; the second one interrupts it at once.
 
+    Args:
+        cfg: Settings of the training.
+        started: Time of the monotonic clock from which the time budget counts, s; by default now.
+
     Raises:
         RenetError: The settings or the machine do not allow the training.
         SystemExit: A signal stopped it.
     """
-    deadline = time.monotonic() + seconds(cfg.time_budget)
+    started = time.monotonic() if started is None else started
+    deadline = started + seconds(cfg.time_budget)
     rank = int(os.getenv("RANK", "0"))
     device = resolve_device(cfg.device)
     # Before mjlab is used, because it wraps Warp's streams of the current device.
@@ -203,6 +213,12 @@ def train(cfg: TrainCfg) -> Path | None:
         newest = learn(cfg, runner, run, console, deadline, received)
         if run is None:
             return None
+        if runner.late:
+            passed = time.monotonic() - started
+            console.print(
+                f"Ended after {passed:.0f} s of the time budget of {cfg.time_budget}: a further "
+                f"iteration, of up to {runner.longest:.0f} s, might not fit; --resume {run} goes on"
+            )
         if (run / CURVES).exists():
             console.print(f"Curves: {write_run_report(run)}")
         if received:

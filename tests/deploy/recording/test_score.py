@@ -15,6 +15,7 @@ from renet.deploy.recording.score import (
     draw_run,
     score_run,
     state_shares,
+    summary,
     track,
     write_score,
 )
@@ -108,6 +109,39 @@ def test_a_drop_off_the_ground_is_a_fall_and_stairs_are_none(flight):
     assert score_run(flight, [])["falls"] == 1
 
 
+def in_the_gap(flight: Recording, height: float) -> dict:
+    """The score of a walk into a gap of 43 cm, where the base is so high from 8 s on."""
+    flight.header.update(terrain="gap", level=6)
+    position = flight.ticks["base_position"]
+    position[:] = np.linspace((0.0, 0.0, 0.3), (1.4, 0.1, 0.3), STEPS)
+    position[400:] = (1.4, 0.1, height)
+    # It struggles: a single fall all the same.
+    position[450:460, 2] = 0.3
+    return score_run(flight, [5.8])
+
+
+def test_a_robot_whose_trunk_lies_across_a_gap_has_fallen_into_it(flight):
+    sunk = in_the_gap(flight, 0.06)
+    assert (sunk["crossed"], sunk["falls"]) == ("fell into the gap", 1)
+    assert "fell into the gap; " in summary(sunk)
+
+
+def test_a_robot_that_stands_across_a_gap_has_not_fallen(flight):
+    above = in_the_gap(flight, 0.28)
+    assert (above["crossed"], above["falls"]) == ("did not cross the gap", 0)
+    flight.ticks["base_position"][400:] = (1.0, 0.1, 0.06)
+    assert score_run(flight, [])["crossed"] == "did not cross the gap", "it lies before the gap"
+
+
+def test_an_image_that_vision_takes_for_new_though_it_is_old_is_not_sight(flight):
+    flight.ticks["has_image"] = True
+    flight.ticks["frame_age"][200:] = 0.5
+    # OP drives from `BLIND` on, and trusts no image.
+    assert score_run(flight, [])["old_image_share"] == (BLIND - 200) / (STEPS - RISEN)
+    flight.ticks["has_image"][200:] = False
+    assert score_run(flight, [])["old_image_share"] == 0.0
+
+
 def test_an_empty_flight(tmp_path):
     empty = Recording({}, np.zeros(0, TICK_DTYPE), {}, [], False)
     result = write_score(empty, tmp_path / "new", [1.0])
@@ -154,17 +188,19 @@ def test_a_folder_that_cannot_be_written(flight, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("vision", "memory", "words"),
+    ("vision", "memory", "old", "words"),
     [
-        (1.0, 0.0, "saw 100 %"),
-        (0.875, 0.7725, "saw 10 %, remembered 77 %, blind 13 %"),
-        (0.668, 0.33, "saw 34 %, remembered 33 %, blind 33 %"),
-        (0.0, 0.0, "blind 100 %"),
+        (1.0, 0.0, 0.0, "saw 100 %"),
+        (1.0, 0.0, 0.53, "saw 47 %, trusted an old image 53 %"),
+        (0.875, 0.7725, 0.0, "saw 10 %, remembered 77 %, blind 13 %"),
+        (0.668, 0.33, 0.0, "saw 34 %, remembered 33 %, blind 33 %"),
+        (0.0, 0.0, 0.0, "blind 100 %"),
     ],
 )
-def test_shares_of_a_walk_add_up(vision, memory, words):
-    assert state_shares({"vision_share": vision, "memory_share": memory}) == words
-    percent = [int(part.split()[1]) for part in words.split(", ")]
+def test_shares_of_a_walk_add_up(vision, memory, old, words):
+    shares = {"vision_share": vision, "memory_share": memory, "old_image_share": old}
+    assert state_shares(shares) == words
+    percent = [int(part.split()[-2]) for part in words.split(", ")]
     assert sum(percent) == 100
 
 

@@ -63,6 +63,10 @@ def test_what_a_reading_forbids(changes, now, problem):
     assert result == problem
 
 
+def test_a_level_robot_keeps_within_the_smallest_tilt():
+    assert state_problem(state(), GO1, SafetyCfg(max_tilt=1e-9), 0.0) == ""
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -122,6 +126,7 @@ def test_velocity_limits(asked, given):
         ({"state": state(battery=0.0)}, "the battery has less than 20% left"),
         ({"state": state(battery=0.0), "cfg": SafetyCfg(min_battery=0.0)}, ""),
         ({"state": state(temperature=66.0)}, "a motor has more than 65 °C"),
+        ({"state": state(fault="a motor has left its mode")}, "a motor has left its mode"),
         ({"recorder": "the recording x ends early: no space"}, "the recording x ends early"),
         ({"frame": None}, "the camera has sent no image"),
         ({"frame": frame(1, 9.4)}, "newest image is older than 0.5 s"),

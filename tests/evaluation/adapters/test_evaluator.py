@@ -1,9 +1,14 @@
 """Somebody else's policy as a policy of the studies."""
 
+import re
+from pathlib import Path
+from textwrap import dedent
+
 import numpy as np
 import onnx
 import onnx.parser
 import pytest
+import torch
 
 from renet.errors import RenetError
 from renet.evaluation.adapters.evaluator import AdaptedEvaluator, find_adapter
@@ -74,6 +79,120 @@ def test_an_adapter_of_ones_own(tmp_path):
     evaluator = AdaptedEvaluator(tmp_path / "twice.onnx", str(tmp_path / "mine.py"))
     assert [*evaluator.entries] == ["blind"]
     assert evaluator.robot.damping == 1.0
+
+
+def test_an_image_reaches_torchscript_as_it_reaches_onnx(still, tmp_path):
+    class Still(torch.nn.Module):
+        def forward(self, observation: torch.Tensor, depth: torch.Tensor) -> torch.Tensor:
+            mean = depth.mean(dim=(1, 2)).reshape(-1, 1)
+            return 0.01 * mean + 0.0 * observation[:, :12]
+
+    torch.jit.save(torch.jit.script(Still()), tmp_path / "still.pt")
+    walk = (np.zeros((2, 45), np.float32), np.full((2, 48, 64), 0.5, np.float32), np.zeros(2, bool))
+    actions = []
+    for path in (still, tmp_path / "still.pt"):
+        policy = AdaptedEvaluator(path, "onnx-depth").make_policy(2)
+        policy.reset()
+        actions.append(policy.step(*walk))
+    np.testing.assert_allclose(*actions, atol=1e-6)
+
+
+ECHO = """
+<ir_version: 8, opset_import: ["" : 17]>
+echo (float[N, 45] observation) => (float[N, 12] action)
+{
+    starts = Constant <value_ints = [33]> ()
+    ends = Constant <value_ints = [45]> ()
+    axes = Constant <value_ints = [1]> ()
+    last = Slice (observation, starts, ends, axes)
+    one = Constant <value_float = 1.0> ()
+    action = Add (last, one)
+}
+"""
+
+
+def test_the_page_of_the_benchmark_shows_an_adapter_with_its_last_action(tmp_path):
+    page = Path(__file__).parents[3] / "docs" / "benchmark.md"
+    (block,) = re.findall(r"   ```python\n(.*?)   ```", page.read_text(), re.S)
+    (tmp_path / "mine.py").write_text(dedent(block))
+    onnx.save(onnx.parser.parse_model(ECHO), tmp_path / "echo.onnx")
+    evaluator = AdaptedEvaluator(tmp_path / "echo.onnx", str(tmp_path / "mine.py"))
+    assert evaluator.robot.name == "Unitree Go2"
+    policy = evaluator.make_policy(2)
+    policy.reset()
+    walk = (np.zeros((2, 45), np.float32), np.ones((2, 48, 64), np.float32), np.zeros(2, bool))
+    first = policy.step(*walk)
+    policy.reset(np.array((True, False)))
+    again = policy.step(*walk)
+    np.testing.assert_allclose(again[0], first[0], atol=1e-5)
+    np.testing.assert_allclose(again[1] - first[1], 0.25 / evaluator.robot.action_scale, atol=1e-5)
+
+
+WIDE = """
+<ir_version: 8, opset_import: ["" : 17]>
+wide (float[N, 12] x) => (float[N, 8] y)
+{
+    starts = Constant <value_ints = [0]> ()
+    ends = Constant <value_ints = [8]> ()
+    axes = Constant <value_ints = [1]> ()
+    y = Slice (x, starts, ends, axes)
+}
+"""
+
+
+@pytest.fixture
+def eight(tmp_path):
+    """A model with eight outputs."""
+    onnx.save(onnx.parser.parse_model(WIDE), tmp_path / "eight.onnx")
+    return tmp_path / "eight.onnx"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (
+            "senses.joint_position + self.model.run(senses.joint_position)[0]",
+            r"^adapter mine\.py, line 6, fails with eight\.onnx, whose last run had"
+            r" inputs \[1, 12\], outputs \[1, 8\]: ValueError: operands could not be broadcast",
+        ),
+        (
+            "self.model.run(senses.joint_position)[0]",
+            r"mine with eight\.onnx gives joint targets of shape \[1, 8\]: \[1, 12\] finite",
+        ),
+        (
+            "senses.joint_position * float('nan')",
+            r"gives joint targets that are not finite: \[1, 12\]",
+        ),
+        ("senses.nothing", r"line 6, fails with eight\.onnx: AttributeError: "),
+        ("'text'", r"^adapter mine\.py fails with eight\.onnx: ValueError: could not convert"),
+    ],
+)
+def test_an_adapter_that_fails_is_told_in_one_line(tmp_path, eight, line, message):
+    (tmp_path / "mine.py").write_text(OWN[: OWN.index("return")] + f"return {line}\n")
+    with pytest.raises(RenetError, match=message) as error:
+        AdaptedEvaluator(eight, str(tmp_path / "mine.py"))
+    assert "\n" not in str(error.value)
+
+
+def test_an_adapter_that_fails_later_is_told_and_ctrl_c_is_not_swallowed(still, monkeypatch):
+    policy = AdaptedEvaluator(still, "onnx-depth").make_policy(2)
+
+    def act(error):
+        def fail(*given):
+            raise error
+
+        monkeypatch.setattr(policy._adapter, "act", fail)
+        monkeypatch.setattr(policy._adapter, "reset", fail)
+
+    walk = (np.zeros((2, 45), np.float32), np.ones((2, 48, 64), np.float32), np.zeros(2, bool))
+    act(KeyError("gait"))
+    for fail in (lambda: policy.step(*walk), policy.reset):
+        with pytest.raises(RenetError, match=r"fails with still\.onnx.*KeyError: 'gait'") as told:
+            fail()
+        assert isinstance(told.value.__cause__, KeyError)
+    act(KeyboardInterrupt())
+    with pytest.raises(KeyboardInterrupt):
+        policy.step(*walk)
 
 
 @pytest.mark.parametrize(

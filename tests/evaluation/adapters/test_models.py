@@ -1,5 +1,7 @@
 """Files that strangers export."""
 
+from zipfile import ZipFile
+
 import numpy as np
 import onnx
 import onnx.parser
@@ -78,7 +80,7 @@ def test_wrong_shapes_are_told_in_one_line(kind, request):
     ("name", "message"),
     [
         ("policy.onnx", "is no ONNX model"),
-        ("policy.pt", "is no TorchScript module: .*; a checkpoint holds weights alone"),
+        ("policy.pt", "is no TorchScript module: torch.jit.save did not write it: "),
         ("policy.zip", "is neither .onnx nor TorchScript"),
     ],
 )
@@ -91,8 +93,25 @@ def test_other_files_are_refused_in_one_line(tmp_path, name, message):
 
 def test_a_checkpoint_is_no_module(tmp_path):
     torch.save({"weights": torch.zeros(3)}, tmp_path / "model.pt")
-    with pytest.raises(RenetError, match="is no TorchScript module"):
+    with pytest.raises(RenetError, match=r"is no TorchScript module: it is a checkpoint, .*trace$"):
         open_model(tmp_path / "model.pt")
+
+
+def test_a_module_without_its_weights_is_damaged(tmp_path, torch_file):
+    with ZipFile(torch_file) as whole, ZipFile(tmp_path / "half.pt", "w") as half:
+        for name in whole.namelist():
+            if "/data/" not in name:
+                half.writestr(name, whole.read(name))
+    with pytest.raises(RenetError, match=r"it is damaged, or of a newer PyTorch$"):
+        open_model(tmp_path / "half.pt")
+
+
+def test_shapes_are_those_of_the_newest_run(onnx_file, torch_file):
+    for path in (onnx_file, torch_file):
+        model = open_model(path)
+        assert model.shapes == ""
+        model.run(np.ones((1, 3)))
+        assert model.shapes.startswith("inputs [1, 3], outputs [1, 3]")
 
 
 def test_a_missing_file_is_told(tmp_path):

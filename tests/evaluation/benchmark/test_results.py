@@ -1,6 +1,8 @@
 """Result files that somebody sends."""
 
 import json
+import sys
+from importlib.util import find_spec, module_from_spec
 
 import pytest
 
@@ -46,3 +48,12 @@ def test_a_number_cannot_be_missing(tmp_path):
     del content["rows"][3]["joules"]
     with pytest.raises(RenetError, match="joules"):
         read(tmp_path, content)
+
+
+def test_only_a_reader_of_results_needs_their_schemas_package(monkeypatch):
+    monkeypatch.setitem(sys.modules, "jsonschema", None)
+    spec = find_spec("renet.evaluation.benchmark.results")
+    again = module_from_spec(spec)
+    spec.loader.exec_module(again)
+    with pytest.raises(ModuleNotFoundError, match="jsonschema"):
+        again._validator()

@@ -78,6 +78,22 @@ def test_a_full_run_takes_over_what_a_quick_one_walked(study, tmp_path, monkeypa
     assert read_result(tmp_path / "result.json")["episodes"] == "full"
 
 
+def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monkeypatch):
+    short = replace(study, quick=False, episodes=10)
+    summary = short.run()
+    assert {run["episode"] for run in summary["runs"]} == set(range(10))
+    assert not (tmp_path / "result.json").exists()
+    assert "first 10 episodes" in short.tables(summary)[0][0]
+    walked = []
+    walk = Walked.walk
+    monkeypatch.setattr(
+        Walked, "walk", lambda self, e, first: walked.append(first) or walk(self, e, first)
+    )
+    study.run()
+    assert walked == [10]
+    assert read_result(tmp_path / "result.json")["episodes"] == "quick"
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -89,6 +105,10 @@ def test_a_full_run_takes_over_what_a_quick_one_walked(study, tmp_path, monkeypa
         ({"draw_seed": -1}, "draw seed must be at least 0"),
         ({"sealed": "x", "quick": True}, "give --sealed or --quick"),
         ({"sealed": "x", "draw_seed": 5}, "not those of version 3"),
+        ({"episodes": 5}, "multiple of 10 up to 200, got 5"),
+        ({"episodes": 0}, "multiple of 10 up to 200, got 0"),
+        ({"episodes": 210}, "multiple of 10 up to 200, got 210"),
+        ({"episodes": 10, "quick": True}, "give --episodes without --quick"),
     ],
 )
 def test_wrong_settings_are_told(settings, message):

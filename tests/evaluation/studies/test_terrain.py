@@ -32,6 +32,14 @@ def test_summary_holds_the_papers_table(run_study):
     assert (folder / "terrain.png").stat().st_size > 10_000
 
 
+def test_the_table_of_levels_holds_levels_alone_and_falls_have_their_own(run_study):
+    _, summary = run_study("terrain")
+    tables = TINY["terrain"].tables(summary)
+    (levels,) = (rows for _, header, rows in tables if header == ("tile", "level"))
+    assert [kind for kind, _ in levels] == [*summary["levels_by_kind"]]
+    assert [rows for _, header, rows in tables if header == ("robots", "falls")] == [[(3, 100)]]
+
+
 def test_collisions_are_those_of_the_first_mode(tmp_path):
     class Scraping(Ladder):
         def result(self, speed, fell):

@@ -31,6 +31,15 @@ BANDS = (("#9aa0a8", "damped or standing up"), *STATES.values())
 """Colours and names of the states of a run: damped or standing up, then the selector's."""
 _DROP = 1.0
 """Drop of the base within a second, m, from which nothing carries it; stairs go down by 0.5."""
+_SUNK = 0.15
+"""Height of the base above the edges of a gap, m, below which it is in the gap: a trunk that lies
+across it is at 0.06, one that leaps over it above 0.25."""
+_OLD_IMAGE = 0.3
+"""Age from which an image is an old one, s; a new one comes every 0.1."""
+_CROSSED = "crossed"
+_FELL_INTO = "fell into"
+_MAX_REASON = 90
+"""Most characters of a reason in the picture: half of its width."""
 _MAX_POINTS = 5000
 """Most points of a curve; longer runs are thinned out."""
 _CUT = 3.0
@@ -86,7 +95,9 @@ def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> d
 def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     """Falls, distance, speed, switches and timing of a run.
 
-    The distance is that between the places where walking began and ended.
+    Shares are of the time that the robot walks: `vision_share` on VP, of it `memory_share` without
+    an image and `old_image_share` on an image that it takes for new though it is not. The distance
+    is that between the places where walking began and ended.
 
     Args:
         run: to score.
@@ -99,9 +110,12 @@ def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
     first = float(start + min(onsets, default=np.inf))
+    sunk = in_gap(run)
     # A robot on stairs that is damped as the run ends may topple: that is no fall of the policy.
     until = next((event.time for event in run.events if event.why == ENDED), np.inf)
-    felled = np.diff(fallen(ticks).astype(int), prepend=0) > 0
+    # A robot that has fallen into a gap may struggle there, which is no second fall.
+    down = fallen(ticks) | np.logical_or.accumulate(sunk)
+    felled = np.diff(down.astype(int), prepend=0) > 0
     # A robot that lies on its back from the start never fell.
     risen = np.logical_or.accumulate(ticks["mode"] != MODES.index(Mode.DAMPING))
     blind = ticks["now"][walking & ~ticks["vision"]] - start
@@ -117,8 +131,9 @@ def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "commanded_m_s": round(_mean(ticks["told"][walking, 0]), 3),
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
         "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
+        "old_image_share": round(_mean(on_old_image(ticks)[walking]), 4),
         "states": states(ticks[walking]),
-        "crossed": _crossing(run, path),
+        "crossed": _crossing(run, path, bool(sunk.any())),
         "switches": sum(event.what in (SEES, BLIND) for event in run.events),
         "blind_before_first_fault": sum(time < first for time in went_blind),
         "switch_delay_s": [delay_to_op(blind, onset) for onset in onsets],
@@ -135,13 +150,15 @@ def summary(score: dict[str, Any]) -> str:
     # With its memory a policy may do without OP.
     if score["memory_share"] and not any(score["switch_delay_s"]):
         delays = ""
-    end = "fell" if score["falls"] else score["crossed"]
+    end = score["crossed"]
+    if score["falls"] and not end.startswith(_FELL_INTO):
+        end = "fell"
     parts = [
         " → ".join([*score["states"], *filter(None, [end])]),
         f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
         f"({score['distance_from']})",
         state_shares(score) if score["walking_seconds"] else "",
-        f"from fault to OP {delays}" if delays else "",
+        f"from the fault to blind walking: {delays}" if delays else "",
         f"falls: {score['falls']}",
     ]
     return "; ".join(part for part in parts if part)
@@ -150,8 +167,10 @@ def summary(score: dict[str, Any]) -> str:
 def state_shares(score: dict[str, Any]) -> str:
     """Shares of the walk in each of the selector's states, in whole per cent that add up to 100."""
     remembered = score["memory_share"]
+    old = score["old_image_share"]
     parts = {
-        "saw": score["vision_share"] - remembered,
+        "saw": score["vision_share"] - remembered - old,
+        "trusted an old image": old,
         "remembered": remembered,
         "blind": 1.0 - score["vision_share"],
     }
@@ -169,8 +188,37 @@ def states(walking: np.ndarray) -> list[str]:
     return [[*STATES][number] for number in dict.fromkeys(acting.tolist())]
 
 
-def _crossing(run: Recording, path: np.ndarray) -> str:
-    """Verdict whether a robot's path [T, 3] m left its simulated tile; empty without a tile."""
+def on_old_image(ticks: np.ndarray) -> np.ndarray:
+    """Mask [T] of ticks at which VP acts on an image that it takes for new, but that is old."""
+    return ticks["vision"] & ticks["has_image"] & (ticks["frame_age"] > _OLD_IMAGE)
+
+
+def in_gap(run: Recording) -> np.ndarray:
+    """Mask [T] of ticks at which a simulated robot is in the gap of its tile."""
+    ticks = run.ticks
+    level = run.header.get("level")
+    on_gap = run.header.get("terrain") == "gap" and not run.header.get("scene")
+    if not isinstance(level, int) or not on_gap or not len(ticks) or not simulated(ticks):
+        return np.zeros(len(ticks), bool)
+    # Needs MuJoCo, which may not be installed on a robot.
+    from renet.terrain.tiles import LEVELS, GapTile
+
+    tile = GapTile()
+    outer = tile.island + tile.measure((level - 1) / (LEVELS - 1))
+    position = ticks["base_position"]
+    # The gap is a square ring around the start.
+    ring = np.abs(position[:, :2]).max(axis=1)
+    return (ring > tile.island) & (ring < outer) & (position[:, 2] < _SUNK)
+
+
+def _crossing(run: Recording, path: np.ndarray, sunk: bool) -> str:
+    """Verdict whether a robot's path [T, 3] m left its simulated tile; empty without a tile.
+
+    Args:
+        run: with the tile in its header.
+        path: where it walked, [T, 3] m.
+        sunk: True if it was in the tile's gap.
+    """
     terrain = run.header.get("terrain")
     if not terrain or terrain == "flat" or not simulated(run.ticks):
         return ""
@@ -178,7 +226,8 @@ def _crossing(run: Recording, path: np.ndarray) -> str:
     from renet.terrain.tiles import TILE
 
     done = np.abs(path[:, :2]).max(initial=0.0) > TILE / 2
-    return f"{'crossed' if done else 'did not cross'} the {terrain.replace('_', ' ')}"
+    verdict = _CROSSED if done else _FELL_INTO if sunk else "did not cross"
+    return f"{verdict} the {terrain.replace('_', ' ')}"
 
 
 def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
@@ -285,7 +334,7 @@ def draw_run(run: Recording, onsets: Sequence[float], path: Path) -> None:
             axis.axvline(onset, color="#a3121f", linestyle=":", linewidth=1)
     axes[-1].set_xlabel("s")
     axes[0].set_title(_title(run), fontsize=10, parse_math=False)
-    _add_legends(axes[0], [legend_of(name) for name in ratios])
+    _add_legends(figure, axes[0], [legend_of(name) for name in ratios])
     _add_events(axes[0], run, time)
     picture = io.BytesIO()
     figure.savefig(picture, format=path.suffix[1:])
@@ -327,7 +376,8 @@ def _add_events(axis: Any, run: Recording, time: np.ndarray) -> None:
     whats = (REMEMBERS, BLIND, Mode.DAMPING)
     events = [event for event in run.events if event.what in whats]
     for row, event in enumerate(events[:_MAX_MARKS]):
-        text = f"{event.what}: {event.why[:60]}"
+        why = event.why if len(event.why) <= _MAX_REASON else f"{event.why[: _MAX_REASON - 1]}…"
+        text = f"{event.what}: {why}"
         # Neighbours are written at different heights, towards the middle of the picture.
         place = (event.time - begun, 0.85 - 0.15 * (row % 4))
         look = {"transform": axis.get_xaxis_transform(), "fontsize": 7, "parse_math": False}
@@ -335,13 +385,17 @@ def _add_events(axis: Any, run: Recording, time: np.ndarray) -> None:
         axis.text(*place, text, ha=side, clip_on=True, **look)
 
 
-def _add_legends(axis: Any, monitors: Sequence[str]) -> None:
-    """Add legends of the states, and of the monitors, whose curves are the axis' first lines."""
-    bands = axis.legend(loc="upper right", fontsize=7, ncols=4)
+def _add_legends(figure: Any, axis: Any, monitors: Sequence[str]) -> None:
+    """Add legends of the states, and of the monitors, whose curves are the axis' first lines.
+
+    They are outside of the axis, in which the reasons of events are written.
+    """
+    bands, names = axis.get_legend_handles_labels()
+    look = {"fontsize": 7, "ncols": len(BANDS)}
+    figure.legend(bands[: len(BANDS)], names[: len(BANDS)], loc="outside lower center", **look)
     if monitors:
-        axis.add_artist(bands)
         lines = axis.get_lines()[: len(monitors)]
-        axis.legend(lines, monitors, loc="lower left", fontsize=7)
+        figure.legend(lines, monitors, loc="outside upper center", **look | {"ncols": 2})
 
 
 def _title(run: Recording) -> str:

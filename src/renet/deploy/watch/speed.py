@@ -43,4 +43,7 @@ class SpeedWatch:
         apart = math.hypot(*self._apart.tolist())
         if self._count < MIN_READINGS or apart <= MAX_DIFFERENCE:
             return ""
-        return f"the legs move {apart:.1f} m/s faster or slower than the policy believes"
+        return (
+            f"the legs move {apart:.1f} m/s faster or slower than the policy believes, as of a "
+            "robot that has fallen or is stuck"
+        )

@@ -24,15 +24,16 @@ class Senses:
     gravity: np.ndarray
     """[N, 3] unit vector, base frame, with noise."""
     command: np.ndarray
-    """[N, 3]: v_x, v_y in m/s and omega_z in rad/s, base frame."""
+    """[N, 3]: v_x, v_y in m/s and omega_z in rad/s, base frame; on a course omega_z is the error of
+    the heading times `interface.TURN_GAIN`, at most `MAX_TURN` either way."""
     joint_position: np.ndarray
     """[N, 12] rad, with the encoders' zero errors."""
     joint_velocity: np.ndarray
     """[N, 12] rad/s, with noise."""
     depth: np.ndarray
     """[N, 48, 64] m, at most 2, top row first; a new image every 0.1 s, unless the camera fails.
-    The field of view is 87 by 58 degrees, and the camera looks 30 degrees downward
-    (`renet.camera.Intrinsics`, the robot's `MountCfg`)."""
+    The field of view is 87 by 58 degrees, from the mount of the adapter's bundle: on the Go1 30, on
+    the Go2 23 degrees downward (`renet.camera.Intrinsics`, the robot's `MountCfg`)."""
     velocity: np.ndarray
     """[N, 3] m/s, base frame: the simulator's true velocity, which no robot measures. Empty unless
     the adapter's `needs_velocity` is true."""

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from traceback import extract_tb
 
 import numpy as np
 
 from renet.bundle import pretrained
 from renet.errors import RenetError, printable, unknown_name
 from renet.evaluation.adapters.base import Adapter, Senses
-from renet.evaluation.adapters.models import MAX_POLICY_SIZE, open_model
+from renet.evaluation.adapters.models import MAX_POLICY_SIZE, Model, open_model
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.files import read_bytes
@@ -70,6 +72,44 @@ def _adapter_of_file(path: Path) -> type[Adapter]:
     return found
 
 
+@contextmanager
+def _told(model: Model, kind: type[Adapter]) -> Iterator[None]:
+    """Turn an error in an adapter's own code into a RenetError that says where and with what."""
+    try:
+        yield
+    except RenetError:
+        raise
+    # An adapter is a user's code, which may raise anything.
+    except Exception as error:
+        words = f"{type(error).__name__}: {printable(' '.join(str(error).split()))}"
+        shapes = f", whose last run had {model.shapes}" if model.shapes else ""
+        raise RenetError(
+            f"{_place(error, kind)} fails with {model.name}{shapes}: {words}"
+        ) from error
+
+
+def _place(error: Exception, kind: type[Adapter]) -> str:
+    """Name an adapter's file, with its line at which an error arose, if it was there."""
+    file = kind.act.__code__.co_filename
+    name = f"adapter {Path(file).name}"
+    for frame in reversed(extract_tb(error.__traceback__)):
+        if frame.filename == file:
+            return f"{name}, line {frame.lineno},"
+    return name
+
+
+def _demand_targets(target: np.ndarray, model: Model, kind: type[Adapter], count: int) -> None:
+    """Raise RenetError unless an adapter's joint targets are finite and [count, 12]."""
+    expected = (count, ACTION_SIZE)
+    if target.shape == expected and np.isfinite(target).all():
+        return
+    wrong = "that are not finite" if target.shape == expected else f"of shape {list(target.shape)}"
+    raise RenetError(
+        f"adapter {kind.__module__} with {model.name} gives joint targets {wrong}: {list(expected)}"
+        " finite ones are needed (docs/benchmark.md)"
+    )
+
+
 class AdaptedPolicy:
     """An adapter with the interface of `renet.pilot.policy.Policy`."""
 
@@ -101,7 +141,8 @@ class AdaptedPolicy:
         """Clear the state of the masked robots, [N] bool; of all by default."""
         if mask is None:
             mask = np.ones(self._adapter.num_robots, bool)
-        self._adapter.reset(mask)
+        with _told(self._adapter.model, type(self._adapter)):
+            self._adapter.reset(mask)
 
     def step(
         self, proprioception: np.ndarray, depth: np.ndarray, op_mask: np.ndarray
@@ -132,13 +173,10 @@ class AdaptedPolicy:
             depth=depth * DEPTH_RANGE,
             velocity=self._velocity(),
         )
-        target = np.asarray(self._adapter.act(senses), np.float32)
-        expected = (self._adapter.num_robots, ACTION_SIZE)
-        if target.shape != expected or not np.isfinite(target).all():
-            raise RenetError(
-                f"adapter {type(self._adapter).__module__} gives joint targets of shape"
-                f" {list(target.shape)}, or not finite: {list(expected)} are needed"
-            )
+        adapter = self._adapter
+        with _told(adapter.model, type(adapter)):
+            target = np.asarray(adapter.act(senses), np.float32)
+        _demand_targets(target, adapter.model, type(adapter), adapter.num_robots)
         # A study's action is an offset from the default position in units of the action scale.
         return (target - self._default).astype(np.float32) / np.float32(self._robot.action_scale)
 
@@ -189,14 +227,17 @@ class AdaptedEvaluator(Evaluator):
             depth=np.full((1, 48, 64), DEPTH_RANGE, np.float32),
             velocity=still,
         )
-        adapter = self.adapter(open_model(self._path), 1)
-        adapter.reset(np.ones(1, bool))
-        target = np.asarray(adapter.act(senses))
-        if target.shape != (1, ACTION_SIZE):
-            raise RenetError(
-                f"{self._path} gives {list(target.shape)} instead of 12 joint targets: choose"
-                " another --adapter"
-            )
+        adapter = self._make_adapter(1)
+        with _told(adapter.model, self.adapter):
+            adapter.reset(np.ones(1, bool))
+            target = np.asarray(adapter.act(senses), np.float32)
+        _demand_targets(target, adapter.model, self.adapter, 1)
+
+    def _make_adapter(self, num_robots: int) -> Adapter:
+        """Open the model for N robots; raises RenetError if it or the adapter cannot be used."""
+        model = open_model(self._path, num_robots)
+        with _told(model, self.adapter):
+            return self.adapter(model, num_robots)
 
     @cached_property
     def _default(self) -> np.ndarray:
@@ -211,7 +252,7 @@ class AdaptedEvaluator(Evaluator):
 
     def make_policy(self, num_robots: int) -> AdaptedPolicy:
         """Make the policy for N robots of the newest environment."""
-        adapter = self.adapter(open_model(self._path, num_robots), num_robots)
+        adapter = self._make_adapter(num_robots)
         told = self.bundle.manifest.told
         return AdaptedPolicy(adapter, self.robot, told, self._default, self._velocity)
 

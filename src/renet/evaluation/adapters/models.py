@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,6 +23,8 @@ class Model(Protocol):
 
     name: str
     """Name of the file, for error messages."""
+    shapes: str
+    """Shapes of the newest inputs and outputs, for error messages; empty before the first."""
 
     def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
         """Evaluate the model on inputs in its own order, with the state of one robot."""
@@ -52,7 +56,14 @@ def open_model(path: Path, num_robots: int = 1) -> Model:
 def _first_line(error: Exception) -> str:
     """First line of an error's message, at most 160 characters; its type if it has none."""
     text = str(error).strip() or type(error).__name__
-    return printable(text.splitlines()[0][:160])
+    return printable(shorten(text.splitlines()[0], 160, placeholder=" …"))
+
+
+def _shapes(inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> str:
+    """Describe the shapes of a model's inputs and outputs."""
+    given = ", ".join(str(list(value.shape)) for value in inputs)
+    made = ", ".join(str(list(value.shape)) for value in outputs)
+    return f"inputs {given}, outputs {made}"
 
 
 class OnnxModel:
@@ -62,6 +73,7 @@ class OnnxModel:
         import onnxruntime as ort
 
         self.name = path.name
+        self.shapes = ""
         options = ort.SessionOptions()
         # Idle threads of a pool spin, and take time from the simulator.
         options.intra_op_num_threads = 1
@@ -83,9 +95,11 @@ class OnnxModel:
         for name, value in zip(self._inputs, inputs, strict=True):
             feed[name] = np.ascontiguousarray(value, np.float32)
         try:
-            return list(map(np.asarray, self._session.run(None, feed)))
+            outputs = list(map(np.asarray, self._session.run(None, feed)))
         except Exception as error:
             raise _input_error(self.name, inputs, error) from None
+        self.shapes = _shapes(inputs, outputs)
+        return outputs
 
     def reset(self, robot: int) -> None:
         """Do nothing: there is no state."""
@@ -98,6 +112,7 @@ class TorchScriptModel:
         import torch
 
         self.name = path.name
+        self.shapes = ""
         self._torch = torch
         self._modules: list[Any] = []
         """The copies, [N]."""
@@ -105,11 +120,9 @@ class TorchScriptModel:
             with warnings.catch_warnings(action="ignore"):
                 for _ in range(num_robots):
                     self._modules.append(torch.jit.load(path, map_location="cpu").eval())
+        # PyTorch's own text is long, and about its internals.
         except Exception as error:
-            raise RenetError(
-                f"{path} is no TorchScript module: {_first_line(error)}; a checkpoint holds weights"
-                " alone: export it with torch.jit.script or trace"
-            ) from None
+            raise RenetError(f"{path} is no TorchScript module: {_kind(path)}") from error
 
     def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
         """Evaluate the robot's copy; returns all its tensors, those of nested tuples included."""
@@ -122,13 +135,29 @@ class TorchScriptModel:
                 outputs = self._modules[robot](*tensors)
         except Exception as error:
             raise _input_error(self.name, inputs, error) from None
-        return [tensor.numpy() for tensor in _tensors(outputs)]
+        arrays = [tensor.numpy() for tensor in _tensors(outputs)]
+        self.shapes = _shapes(inputs, arrays)
+        return arrays
 
     def reset(self, robot: int) -> None:
         """Call the module's own `reset`, if it has one."""
         reset = getattr(self._modules[robot], "reset", None)
         if reset is not None:
             reset()
+
+
+def _kind(path: Path) -> str:
+    """Say what a file is that PyTorch cannot open as TorchScript, and what to do about it."""
+    export = "export the policy with torch.jit.script or trace"
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {Path(name).name for name in archive.namelist()}
+    except zipfile.BadZipFile:
+        return f"torch.jit.save did not write it: {export}"
+    # `torch.save` and `torch.jit.save` write the same archive, but for the program.
+    if "data.pkl" in names and "constants.pkl" not in names:
+        return f"it is a checkpoint, which holds weights alone: {export}"
+    return "it is damaged, or of a newer PyTorch"
 
 
 def _tensors(outputs: Any) -> list[Any]:
@@ -146,7 +175,7 @@ def _input_error(name: str, inputs: Sequence[np.ndarray], error: Exception) -> R
     shapes = ", ".join(str(list(value.shape)) for value in inputs)
     # TorchScript's traceback begins with the place and ends with the reason.
     last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+    words = printable(shorten(last, 160, placeholder=" …"))
     return RenetError(
-        f"{name} does not take inputs of shapes {shapes}: {printable(last.strip()[:160])};"
-        " choose another --adapter"
+        f"{name} does not take inputs of shapes {shapes}: {words}; choose another --adapter"
     )

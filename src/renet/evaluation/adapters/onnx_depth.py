@@ -1,8 +1,9 @@
-"""ONNX models with inputs (observation [N, 45], depth [N, 48, 64]) and output action [N, 12].
+"""Models with inputs (observation [N, 45], depth [N, 48, 64]) and output action [N, 12].
 
-The observation is renet's own (`renet.interface.PROPRIOCEPTION`), the depth is divided by its range
-of 2 m, and an action of 1 moves a joint target 0.25 rad from the Go1's default pose. This fits
-policies trained in renet's tasks, or with the same inputs elsewhere.
+They are ONNX or, in spite of the name, TorchScript. The observation is renet's own
+(`renet.interface.PROPRIOCEPTION`), the depth is divided by its range of 2 m, and an action of 1
+moves a joint target 0.25 rad from the Go1's default pose. This fits policies trained in renet's
+tasks, or with the same inputs elsewhere.
 """
 
 import numpy as np

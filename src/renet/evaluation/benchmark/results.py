@@ -6,14 +6,15 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
-
-from jsonschema import Draft202012Validator
+from typing import TYPE_CHECKING, Any
 
 from renet.errors import RenetError, printable
 from renet.evaluation.benchmark.episodes import EPISODES, QUICK_EPISODES, SEALED_EPISODES, SEED
 from renet.evaluation.benchmark.scores import EpisodeRow
 from renet.evaluation.results import column, read_results, select
+
+if TYPE_CHECKING:
+    from jsonschema import Draft202012Validator
 
 BENCHMARK = "renet-faults"
 """Name of the benchmark."""
@@ -36,7 +37,8 @@ def make_result(
         summary: summary of a `BenchmarkStudy`.
         method: name of the method that the policy is a training of.
         robot: name of the robot that it drives.
-        episodes: the set of episodes that was walked, a key of `SETS`.
+        episodes: the set of episodes that was walked, a key of `SETS`; other words are for tables
+            alone, for `read_result` refuses them.
     """
     origin = summary["provenance"]
     provenance = {"renet": origin["renet_version"]}
@@ -61,6 +63,9 @@ def make_result(
 @cache
 def _validator() -> Draft202012Validator:
     """Validator of the schema of result files."""
+    # Only whoever reads results needs it: neither a study nor its --help.
+    from jsonschema import Draft202012Validator
+
     path = Path(__file__).with_name("result.schema.json")
     return Draft202012Validator(json.loads(path.read_text()))
 

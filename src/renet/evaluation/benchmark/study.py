@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from renet.errors import RenetError
-from renet.evaluation.benchmark.episodes import EPISODES_PER_BLOCK, SEED, draw_episodes
+from renet.evaluation.benchmark.episodes import EPISODES, EPISODES_PER_BLOCK, SEED, draw_episodes
 from renet.evaluation.benchmark.families import SealedFaults
 from renet.evaluation.benchmark.leaderboard import family_table, measures, ranking
 from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, ROLLOUT_MODES, EntryName
@@ -38,6 +38,9 @@ class BenchmarkStudy(Study):
     entries: tuple[EntryName, ...] = ()
     """Ways to use the models; by default memory, switch, camera, blind and healthy. A policy with
     an adapter walks as camera and healthy, or as blind if it reads no image."""
+    episodes: int | None = None
+    """Walk only the first N of the 200 episodes, a multiple of 10, to see whether a policy walks at
+    all; such results are not ranked, and there is no result.json."""
     method: str | None = None
     """Name of the method in the leaderboard, the same for its trainings; by default the policy's
     own name."""
@@ -49,7 +52,7 @@ class BenchmarkStudy(Study):
     """A result.json of the same policy: walk ten of its episodes again, and compare."""
 
     name: ClassVar[str] = "benchmark"
-    selectable: ClassVar[tuple[str, ...]] = ("quick", "method", "verify")
+    selectable: ClassVar[tuple[str, ...]] = ("quick", "episodes", "method", "verify")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,6 +73,23 @@ class BenchmarkStudy(Study):
             raise RenetError("give --sealed or --quick, not both")
         if self.sealed is not None:
             demand_version_seed(self.draw_seed)
+        self._check_episodes()
+
+    def _check_episodes(self) -> None:
+        """Raise RenetError for a number of episodes that makes no whole blocks, or for another set.
+
+        The robots of a block walk, and are drawn, together.
+        """
+        if self.episodes is None:
+            return
+        whole = self.episodes % EPISODES_PER_BLOCK == 0
+        if not (whole and 0 < self.episodes <= EPISODES):
+            raise RenetError(
+                f"--episodes must be a multiple of {EPISODES_PER_BLOCK} up to {EPISODES}, got"
+                f" {self.episodes}"
+            )
+        if self.quick or self.sealed is not None or self.verify is not None:
+            raise RenetError("give --episodes without --quick, --sealed and --verify")
 
     def _check_policy(self) -> None:
         """Raise RenetError if a policy lacks its adapter, or comes with a bundle."""
@@ -107,15 +127,17 @@ class BenchmarkStudy(Study):
         return {name: known[name] for name in names}
 
     @property
-    def episodes(self) -> str:
-        """The set of episodes to walk, a key of `SETS`."""
+    def episode_set(self) -> str:
+        """The set of episodes to walk: a key of `SETS`, or words for the first ones of them."""
+        if self.episodes is not None:
+            return f"first {self.episodes}"
         if self.sealed is not None:
             return "sealed"
         return "quick" if self.quick else "full"
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part for each block of ten episodes."""
-        numbers = SETS[self.episodes]
+        numbers = SETS[self.episode_set] if self.episodes is None else range(self.episodes)
         parts = {}
         for first in range(numbers.start, numbers.stop, EPISODES_PER_BLOCK):
             parts[f"episodes_{first:03d}"] = partial(self.walk, evaluator, first)
@@ -151,18 +173,18 @@ class BenchmarkStudy(Study):
         return {"runs": runs, "scores": scores, "families": families, "robot": robot}
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
-        """Run the study; writes result.json as well if the episodes are the version's."""
+        """Run the study; writes result.json as well for one of the version's sets of episodes."""
         summary = super().run(evaluator)
         # A result.json of an earlier run would not be of this one.
         remove(self.out / "result.json")
-        if self.draw_seed == SEED:
+        if self.draw_seed == SEED and self.episodes is None:
             write_json(self.out / "result.json", self._result(summary))
         return summary
 
     def _result(self, summary: Mapping[str, Any]) -> dict[str, Any]:
         """Content of the result file."""
         method = self.method or summary["provenance"]["bundle"]
-        return make_result(summary, method, summary["robot"], self.episodes)
+        return make_result(summary, method, summary["robot"], self.episode_set)
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The scores, the other measures, and the scores under each family of faults."""

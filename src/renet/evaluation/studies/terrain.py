@@ -304,8 +304,11 @@ class TerrainStudy(WalkingStudy):
         tables: list[Table] = [(f"Robots that cross, % of {summary['robots']}", header, rows)]
         if not self.one_try and len(self.settings) > len(self.modes):
             levels = [(kind, f"{n:.2f}") for kind, n in summary["levels_by_kind"].items()]
-            levels += [("falls on flat ground", summary["falls_on_flat"])]
-            tables.append((f"Mean highest level of {LEVELS}", ("tile", "level"), levels))
+            mode = self.modes[0]
+            title = f"Mean highest level of {LEVELS} in mode {mode}"
+            tables.append((title, ("tile", "level"), levels))
+            flat = [(summary["robots"], summary["falls_on_flat"])]
+            tables.append((f"On flat ground in mode {mode}", ("robots", "falls"), flat))
         if summary["worse"]:
             worse = []
             for row in summary["worse"]:

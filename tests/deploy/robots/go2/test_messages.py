@@ -105,7 +105,9 @@ def test_a_payload_of_another_size_or_order_is_none(name, size):
         assert made(name).deserialize(data).values is None
 
 
-@pytest.mark.parametrize("name", ["LowCmd_", "LowState_", "Request_", "Response_", "Twist_"])
+@pytest.mark.parametrize(
+    "name", ["LowCmd_", "LowState_", "Request_", "Response_", "Twist_", "TwistStamped_"]
+)
 def test_type_information_names_types_by_the_md5_of_what_they_are(name):
     information, mapping = read_types()[name]
     types = TypeMapping.deserialize(mapping, has_header=False, use_version_2=True)
