@@ -279,7 +279,7 @@ def test_the_end_of_seen_ground_is_told_once(judging, unseen, told):
     run.ticks(120, lambda frame: last)
     events = [event.why for event in run.events if event.what == "unseen"]
     conduct = {"walk": "it walks on", "stop": "it stops"}[unseen]
-    assert events == [f"the ground ahead was never seen: {conduct}"]
+    assert events == [f"the ground that it saw ends half a metre ahead: {conduct}"]
     assert asked[-1] == pytest.approx(told)
 
 

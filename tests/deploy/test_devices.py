@@ -86,8 +86,24 @@ def test_a_folder_that_cannot_be_used_is_refused_before_the_robot_is_touched(tmp
 def test_the_deadman_reaches_the_operators_device(monkeypatch, teleop, device):
     monkeypatch.setattr(device, "__init__", lambda self, deadman: setattr(self, "given", deadman))
     for deadman, given in ((2.5, 2.5), (None, DEADMAN)):
-        made = devices.make_teleop(DeployCfg(robot="go1", teleop=teleop, deadman=deadman))
+        made = devices.make_teleop(
+            DeployCfg(robot="go1", teleop=teleop, deadman=deadman), "heading"
+        )
         assert (type(made), made.given) == (device, given)
+
+
+@pytest.mark.parametrize("device", [KeyboardTeleop, GamepadTeleop])
+def test_only_what_the_policy_follows_is_offered(monkeypatch, capsys, device):
+    monkeypatch.setattr(device, "__init__", lambda self, deadman: None)
+    name = {KeyboardTeleop: "keyboard", GamepadTeleop: "joystick"}[device]
+    offers = {}
+    for told in ("heading", "twist"):
+        devices.make_teleop(DeployCfg(teleop=name), told)
+        offers[told] = capsys.readouterr().out
+    for words in ("sideways", "backward"):
+        assert words in offers["twist"]
+        assert words not in offers["heading"]
+    assert "turn" in offers["heading"]
 
 
 def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypatch):
@@ -97,7 +113,7 @@ def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypat
     monkeypatch.setattr(RealSenseCfg, "build", lambda *given: camera)
     pressed = []
     teleop = SimpleNamespace(drain=pressed.append)
-    monkeypatch.setattr(devices, "make_teleop", lambda cfg: teleop)
+    monkeypatch.setattr(devices, "make_teleop", lambda *given: teleop)
     cfg = DeployCfg(robot="go1", fault=("blackout@5s",), teleop="keyboard")
     _, faulty, *_ = devices.start_devices(
         cfg, Bundle.load(), print, ExitStack(), Checklist(print, patience=False)

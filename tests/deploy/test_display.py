@@ -20,7 +20,9 @@ def walking(run) -> Decision:
         run.controller.decision,
         mode=Mode.WALKING,
         vision=True,
-        asked=Velocity(0.6, -0.1, 0.5),
+        has_image=True,
+        asked=Velocity(-0.6, 0.3, 0.5),
+        followed=Velocity(0.6, -0.1, 0.5),
         velocity_vp=np.array([0.7, -0.05, 0.0]),
         velocity_op=np.array([9.0, 9.0, 9.0]),
     )
@@ -32,13 +34,13 @@ def display() -> tuple[VelocityDisplay, list[str]]:
     return VelocityDisplay(lines.append), lines
 
 
-def test_the_velocity_asked_for_stands_beside_the_one_walked(display, walking):
+def test_the_velocity_followed_stands_beside_the_one_walked(display, walking):
     velocity, lines = display
     turning = state(angular_velocity=np.array([0.0, 0.0, 0.4]))
     for _ in range(200):
         velocity.step(walking, turning)
-    asked = "asked +0.60 ahead -0.10 left m/s +0.50 rad/s"
-    assert lines[-1] == f"{asked}; walks +0.70 ahead -0.05 left m/s +0.40 rad/s"
+    told = "sees; told +0.60 ahead -0.10 left m/s +0.50 rad/s"
+    assert lines[-1] == f"{told}; walks +0.70 ahead -0.05 left m/s +0.40 rad/s"
     assert len(lines) == 200 / SHOW_EVERY
 
 
@@ -65,3 +67,13 @@ def test_numbers_that_are_none_do_not_stay(display, walking):
     for _ in range(200):
         velocity.step(walking, state())
     assert "walks +0.70" in lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("vision", "has_image", "state"),
+    [(True, True, "sees"), (True, False, "remembers"), (False, True, "blind")],
+)
+def test_sight_is_named(display, walking, vision, has_image, state):
+    velocity, lines = display
+    velocity.step(replace(walking, vision=vision, has_image=has_image), None)
+    assert lines[0].startswith(f"{state}; told ")

@@ -92,6 +92,21 @@ def test_a_camera_unplugged_and_replugged_50_times_in_one_run(bundle, tmp_path):
     assert sum(event.what == "blind" for event in flight.events) <= 26.2 / 5 + 1
 
 
+def test_nobody_is_asked_for_a_command_once_the_run_ends(bundle, tmp_path):
+    """A topic that falls silent then is no news."""
+    rig = Rig(bundle)
+    rig.teleop.problem = ""
+
+    def listen(command, now):
+        rig.teleop.problem = "no message" if now >= 0.5 else ""
+        return command
+
+    rig.spoil("teleop", "command", listen)
+    flight = rig.fly(0.5, tmp_path, camera=False)
+    assert [event.why for event in flight.events if event.what == "damping"] == ["the run ends"]
+    assert not [event for event in flight.events if event.what == "teleop"]
+
+
 @pytest.mark.parametrize(
     ("device", "method", "answer", "reason"),
     [

@@ -49,8 +49,16 @@ def test_a_policy_that_walks_ahead_alone_is_never_told_to_walk_back(heading):
     assert heading.refused == FORWARD_ONLY
     assert heading.command(Velocity(0.6, 0.1), 0.0)[0] == 0.6
     assert heading.refused == FORWARD_ONLY
+    assert heading.followed == Velocity(0.6)
     heading.command(AHEAD, 0.0)
     assert heading.refused == ""
+    heading.command(Velocity(-0.3, 0.1, 0.5), 0.0)
+    assert heading.followed == Velocity(turn_rate=0.5)
+
+
+def test_a_policy_that_is_told_a_velocity_follows_all_of_it(twist):
+    twist.command(Velocity(-0.3, 0.1, 0.5), 0.0)
+    assert twist.followed == Velocity(-0.3, 0.1, 0.5)
 
 
 @pytest.mark.parametrize("velocity", [(0.6, 0.0), (-0.5, 0.0), (0.0, 0.4)])

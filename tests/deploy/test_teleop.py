@@ -66,7 +66,10 @@ def test_every_key_is_named_and_means_one_thing(keyboard):
     keys = [*KEYS, STAND_KEY, ARM_KEY, "q", " "]
     assert len(set(keys)) == len(keys)
     for key in keys:
-        assert re.search(rf"\b{key}\b" if key != " " else "space", keyboard.controls)
+        word = rf"\b{key}\b" if key != " " else "space"
+        assert re.search(word, keyboard.controls)
+        # A policy that only walks ahead has no keys for going sideways.
+        assert bool(re.search(word, keyboard.controls_ahead)) == (key not in ("j", "l"))
 
 
 def test_a_held_key_arms_once(keyboard, terminal):

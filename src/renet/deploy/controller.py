@@ -35,6 +35,8 @@ LATE = "the vision thread is late or dead"
 """Reason of a tick that runs blind."""
 CONDUCTS = {"walk": "it walks on", "slow": "it slows down", "stop": "it stops"}
 """Conduct at the end of the ground that was seen, in words, by `interface.Unseen`."""
+END_OF_SEEN = "the ground that it saw ends half a metre ahead"
+"""Reason of the event `unseen`."""
 A_WHILE = 0.25
 """Seconds without an image after which an event tells of it; one late frame is no news."""
 
@@ -78,6 +80,8 @@ class Decision:
     """[64] latent that drove this step."""
     asked: Velocity
     """The operator's velocity within limits; zero unless walking."""
+    followed: Velocity
+    """The same without what the policy cannot do, such as walking backward."""
     told: np.ndarray
     """[3] command of the policy, see `interface.TOLD`; zero unless walking."""
     velocity_op: np.ndarray
@@ -270,7 +274,7 @@ class Controller:
     def _tell_unseen(self, unseen: bool, now: float) -> None:
         """Tell once when the robot comes to the end of the ground that it has seen."""
         if unseen and not self._unseen:
-            self.tell(now, "unseen", f"the ground ahead was never seen: {CONDUCTS[self._conduct]}")
+            self.tell(now, "unseen", f"{END_OF_SEEN}: {CONDUCTS[self._conduct]}")
         # Not again before it has seen: an operator who looks for a way turns the robot often.
         self._unseen = unseen or (self._unseen and self._state != SEES)
 
@@ -299,6 +303,7 @@ class Controller:
             action=self._action if walking else np.zeros(ACTION_SIZE),
             latent=latent if walking else np.zeros(LATENT),
             asked=self._asked if walking else Velocity(),
+            followed=self._steering.followed if walking else Velocity(),
             told=np.array(self._told if walking else (0.0, 0.0, 0.0)),
             velocity_op=policy.velocity_op[0],
             velocity_vp=policy.velocity_vp[0],

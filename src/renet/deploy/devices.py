@@ -19,6 +19,7 @@ from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
 from renet.deploy.teleop import ScriptedTeleop, Teleop, TeleopCfg
 from renet.errors import RenetError, collected
+from renet.interface import Told
 
 CLOSE_TIMEOUT = 5.0
 """Time that a device may take to be closed, s; a robot that sinks takes 3 s."""
@@ -56,7 +57,7 @@ def start_devices(
     camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
     teleop = None
     with checklist.step(f"{cfg.teleop} can steer"):
-        teleop = make_teleop(cfg)
+        teleop = make_teleop(cfg, bundle.manifest.told)
     # The stack closes in reverse: the robot first.
     for device in (teleop, camera, robot):
         stack.callback(close_device, device, say)
@@ -93,15 +94,15 @@ def missing_devices(cfg: DeployCfg, say: Callable[[str], None]) -> list[str]:
     """
     problems: list[str] = []
     with ExitStack() as stack:
+        manifest = read_manifest(pretrained(cfg.driver.bundle or DEFAULT))
         if _complete(cfg.operator):
             with collected(problems):
-                stack.callback(close_device, make_teleop(cfg), say)
+                stack.callback(close_device, make_teleop(cfg, manifest.told), say)
         if not cfg.lens.simulated and _complete(cfg.lens):
-            spec = read_manifest(pretrained(cfg.driver.bundle or DEFAULT)).camera
             # In place of the robot, whose clock is all that a camera needs.
             clock: Any = SimpleNamespace(now=time.monotonic)
             with collected(problems):
-                camera = cfg.lens.build(spec, clock, cfg.seed)
+                camera = cfg.lens.build(manifest.camera, clock, cfg.seed)
                 stack.callback(close_device, camera, say)
                 if camera is not None:
                     _start_camera(camera, simulated=False, demanded=True)
@@ -173,12 +174,15 @@ def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
     return robot
 
 
-def make_teleop(cfg: DeployCfg) -> Teleop:
-    """Open the operator's device, and print how to steer with it."""
+def make_teleop(cfg: DeployCfg, told: Told) -> Teleop:
+    """Open the operator's device, and print how to steer a policy with it, by what it is told."""
     if cfg.teleop == "auto":
         return ScriptedTeleop(cfg.speed)
     teleop = cfg.operator.build(cfg.operator_timeout, cfg.driver.simulated)
-    print(f"{cfg.teleop}: {teleop.controls}")
+    controls = teleop.controls
+    if told == "heading":
+        controls = getattr(teleop, "controls_ahead", controls)
+    print(f"{cfg.teleop}: {controls}")
     if cfg.operator_timeout < math.inf:
         print(f"{cfg.operator_timeout:g} s without a sign of the operator: the robot stands")
     return teleop

@@ -1,4 +1,4 @@
-"""Status line of the terminal: the velocity that is asked for beside the robot's own."""
+"""Status line of the terminal: sight, and the velocity that is commanded beside the robot's own."""
 
 import math
 from collections.abc import Callable
@@ -10,6 +10,7 @@ from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import Velocity
 from renet.interface import CONTROL_DT
+from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 SHOW_EVERY = 10
 """Number of control steps from one line to the next, 0.2 s."""
@@ -18,7 +19,7 @@ _SMOOTHING = 0.5
 
 
 class VelocityDisplay:
-    """Shows the velocity that is asked for beside the one with which the robot walks."""
+    """Shows the velocity that the policy is to follow beside the one with which the robot walks."""
 
     def __init__(self, show: Callable[[str], None]) -> None:
         """Show lines by calling `show`."""
@@ -46,7 +47,14 @@ class VelocityDisplay:
 
     def _line(self, decision: Decision) -> str:
         walked = Velocity(*self._walked.tolist())
-        return f"asked {_text(decision.asked)}; walks {_text(walked)}"
+        return f"{_state(decision)}; told {_text(decision.followed)}; walks {_text(walked)}"
+
+
+def _state(decision: Decision) -> str:
+    """Name the state of the selector in which a step was walked."""
+    if not decision.vision:
+        return BLIND
+    return SEES if decision.has_image else REMEMBERS
 
 
 def _text(velocity: Velocity) -> str:

@@ -108,10 +108,10 @@ class _Loop:
             controller.trip(ENDED, now)
         state = self._ask("robot", self.robot.read, None)
         frame = None if self.camera is None else self._ask("camera", self._look, None)
-        wish = self._ask("teleop", lambda: self._listen(now), TeleopCommand(stop=True))
-        if ending:
-            # The recording must say it, so that its replay brakes here, too.
-            wish = TeleopCommand(stop=True)
+        # At the end nobody is asked. The recording must say it, so that its replay brakes, too.
+        wish = TeleopCommand(stop=True)
+        if not ending:
+            wish = self._ask("teleop", lambda: self._listen(now), wish)
         wish = self._checked(wish, state, frame, now)
         begun = time.perf_counter()
         command = controller.tick(state, frame, wish, now)

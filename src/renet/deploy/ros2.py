@@ -114,7 +114,7 @@ class Ros2Teleop:
         self._malformed = False
         self._rises = rises
         self.attended = keys is not None
-        ends = "r stand up and walk, space stop, q quit" if keys else "Ctrl-C quits"
+        ends = "r stand up and walk, space brake, q quit" if keys else "Ctrl-C quits"
         self.controls = f"velocities of {topic} in domain {domain}, {ends}"
         self.problem = ""
         """Problem that the operator is to be told; empty if there is none."""

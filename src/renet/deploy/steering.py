@@ -20,6 +20,8 @@ class Steering(Protocol):
 
     refused: str
     """Reason for which a part of the last velocity was left out; empty if none was."""
+    followed: Velocity
+    """Last velocity without the part that was left out."""
 
     def start(self, heading: float) -> None:
         """Begin a walk at the robot's heading, rad."""
@@ -34,6 +36,7 @@ class HeadingSteering:
 
     def __init__(self) -> None:
         self.refused = ""
+        self.followed = Velocity()
         self._wished = 0.0
 
     def start(self, heading: float) -> None:
@@ -44,9 +47,10 @@ class HeadingSteering:
         """Return (c_x, sin e, cos e), c_x in m/s; such policies only walk ahead."""
         backward_or_sideways = velocity.forward < 0.0 or velocity.left != 0.0
         self.refused = FORWARD_ONLY if backward_or_sideways else ""
+        self.followed = Velocity(forward=max(velocity.forward, 0.0), turn_rate=velocity.turn_rate)
         error = _lead(self._wished + CONTROL_DT * velocity.turn_rate, heading)
         self._wished = heading + error
-        return max(velocity.forward, 0.0), math.sin(error), math.cos(error)
+        return self.followed.forward, math.sin(error), math.cos(error)
 
 
 class TwistSteering:
@@ -65,6 +69,7 @@ class TwistSteering:
 
     def __init__(self) -> None:
         self.refused = ""
+        self.followed = Velocity()
         self._kept = 0.0
 
     def start(self, heading: float) -> None:
@@ -73,6 +78,7 @@ class TwistSteering:
 
     def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
         """Return (v_x, v_y, omega_z), m/s and rad/s."""
+        self.followed = velocity
         forward, left, turn_rate = velocity
         stands = forward == 0.0 and left == 0.0
         # While the operator turns or the robot stands, nothing is corrected.

@@ -53,8 +53,9 @@ class TeleopCommand:
 class Teleop(Protocol):
     """Source of commands that never makes its caller wait.
 
-    It may have an attribute `problem`, which is told to the operator when it changes, and an
-    attribute `quit`, which ends the run when it is true.
+    It may have an attribute `problem`, which is told to the operator when it changes, an attribute
+    `quit`, which ends the run when it is true, and an attribute `controls_ahead`: the instructions
+    for a policy that only walks ahead and turns.
     """
 
     controls: str
@@ -168,10 +169,9 @@ ARM_KEY = "r"
 class KeyboardTeleop:
     """Reads keys from a terminal. Closing the terminal stops the robot."""
 
-    controls = (
-        "w/s forward/backward, a/d turn left/right, j/l sideways left/right, x stand still, "
-        "r stand up and walk, space stop, q quit"
-    )
+    _OTHERS = "x stand still, r stand up and walk, space brake, q quit"
+    controls = f"w/s forward/backward, a/d turn left/right, j/l sideways left/right, {_OTHERS}"
+    controls_ahead = f"w/s faster/slower ahead, a/d turn left/right, {_OTHERS}"
     attended = True
 
     def __init__(self, deadman: float) -> None:
@@ -236,10 +236,11 @@ class KeyboardTeleop:
 class GamepadTeleop:
     """Reads a gamepad whose sticks and buttons the kernel names."""
 
-    controls = (
-        "left stick forward/backward and sideways, right stick turns, Start or Options stands up "
-        "and walks, A, B, cross or circle stops"
+    _OTHERS = (
+        "right stick turns, Start or Options stands up and walks, A, B, cross or circle brakes"
     )
+    controls = f"left stick forward/backward and sideways, {_OTHERS}"
+    controls_ahead = f"left stick ahead, {_OTHERS}"
     FORWARD = "ABS_Y"
     LEFT = "ABS_X"
     TURN = "ABS_RX"
