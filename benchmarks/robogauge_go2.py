@@ -4,10 +4,11 @@ RoboGauge (github.com/wty-yy/RoboGauge, arXiv 2602.00678, MIT) is used as it is.
 the robot `renet` to its register and runs its benchmark, in an environment that has both:
 
     python benchmarks/referee.py --out go2_blind.pt
-    PYTHONPATH=ROBOGAUGE python benchmarks/robogauge_go2.py --task-name renet \
+    PYTHONPATH=ROBOGAUGE:src python benchmarks/robogauge_go2.py --task-name renet \
         --model-path go2_blind.pt --headless --json renet.json
 
-Other options are RoboGauge's own; `--task-name go2_moe` scores its mixture of experts.
+Other options are RoboGauge's own; `--task-name go2_moe` scores its mixture of experts. Results of
+one run are comparable with those of runs with the same grounds, frictions and seeds.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-import robogauge.tasks  # Registers its tasks.
+import robogauge.tasks  # noqa: F401  registers RoboGauge's tasks
 from robogauge import ROBOGAUGE_ROOT_DIR
 from robogauge.tasks.gauge.goal_data import GoalData
 from robogauge.tasks.pipeline import StressPipeline, base_pipeline
@@ -124,25 +125,26 @@ def register() -> None:
 
 def main() -> None:
     """Run the benchmark and, if asked, write its results as JSON."""
-    parser = argparse.ArgumentParser(add_help=False)
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--model-path", type=Path, required=True)
     own, others = parser.parse_known_args()
-    args = parse_args(others)
+    args = parse_args([*others, "--model-path", str(own.model_path)])
     asked = {name: getattr(args, name) for name in ("stress_terrain_names", "frictions", "seeds")}
     asked["search_seeds"] = args.search_seeds
-    model = Path(args.model_path)
     begun = time.monotonic()
     summary = StressPipeline(args).run()
     if own.json is not None:
         record = {
             "task": args.task_name,
-            "model": model.name,
-            "sha256": hashlib.sha256(model.read_bytes()).hexdigest(),
+            "model": own.model_path.name,
+            "sha256": hashlib.sha256(own.model_path.read_bytes()).hexdigest(),
             "asked": asked,
             "minutes": round((time.monotonic() - begun) / 60, 1),
             "results": without_paths(summary),
-            "facts": facts()
-            | {"robogauge": robogauge.__version__, "dm_control": version_of("dm-control")},
+            "robogauge": revision(),
+            "dm_control": version_of("dm-control"),
+            "facts": facts(),
         }
         own.json.write_text(json.dumps(record, indent=1) + "\n")
 

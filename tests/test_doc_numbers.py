@@ -108,3 +108,20 @@ def test_motors_of_the_go2():
     for title, name in titles.items():
         (shown,) = (line[1:] for line in lines if line[0] == title)
         assert shown == [f"{rmse[model][name]:.4f}" for model in ("described", "measured")]
+
+
+def test_the_outside_referee():
+    lines = {line[0]: line[1:] for line in cells("docs/benchmark.md", "An outside referee")}
+    stairs = result("referee/stairs.json")["policies"]
+    for policy, name in (
+        ("go2-parkour, blind", "renet"),
+        ("RoboGauge's mixture of experts", "moe"),
+    ):
+        flat, level = lines[policy]
+        score = result(f"referee/{name}_flat.json")["results"]["scores"]["flat"]
+        assert float(flat) == pytest.approx(score, abs=0.00051)
+        reached = {
+            int(of): int(n.split()[0]) for of, n in stairs[name]["seeds_at_the_target"].items()
+        }
+        passed = max(of for of, seeds in reached.items() if seeds >= 4)
+        assert int(re.search(r"level (\d+)", level)[1]) == passed
