@@ -55,8 +55,7 @@ class TrainOptions:
     resume: str | None = None
     """Run folder or checkpoint to go on from, with its settings; latest: the task's newest run."""
     time_budget: str | None = None
-    """Stop with a checkpoint before so much time has passed since the command began (90s, 25m,
-    8h); one iteration is always done."""
+    """Stop with a checkpoint before the command has run for so long (90s, 25m, 8h)."""
     log_root: Path | None = None
     """Folder of runs, by default logs; with --resume another one leaves that run as it is."""
     device: str = "auto"

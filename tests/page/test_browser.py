@@ -347,6 +347,11 @@ def test_a_visitor_drives_all_round_by_a_gamepad(visit, twist_address):
     one.ask("renetPad.buttons[1].pressed = true")
     told_soon(one, "x === 0 && y === 0 && z === 0")
 
+    # In a frame whose page forbids gamepads, robots walk all the same.
+    one.ask("navigator.getGamepads = () => { throw new DOMException('', 'SecurityError'); }; 0")
+    forbidden = one.its("now")
+    one.until(f"renetPage.page.now > {forbidden} + 0.1")
+
 
 def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
     one = visit("?ground=flat&fault=none").load(WALKS)

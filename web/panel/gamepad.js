@@ -24,7 +24,7 @@ export class Gamepad {
 
   /** Read the gamepad; to be called in every control step, for gamepads send no events. */
   read() {
-    const pad = navigator.getGamepads?.().find(isKnown);
+    const pad = findPad();
     const wished = {};
     for (const [component, axis] of Object.entries(AXES)) {
       // Axes grow to the right and backward, components to the left and ahead.
@@ -35,6 +35,16 @@ export class Gamepad {
     else if (this.steers) this.driver.leave(COMPONENTS, false);
     this.steers = steers;
     if (STOPS.some((button) => pad?.buttons[button].pressed)) this.driver.press(" ");
+  }
+}
+
+/** The first gamepad with known sticks. */
+function findPad() {
+  try {
+    return [...(navigator.getGamepads?.() ?? [])].find(isKnown);
+  } catch {
+    // A page that shows this one in a frame may forbid gamepads.
+    return undefined;
   }
 }
 

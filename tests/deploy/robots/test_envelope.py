@@ -74,3 +74,18 @@ def test_every_command_is_clamped_into_the_envelope(position, gains, joints, spe
         assert (np.abs(torque[slow]) <= GO1.torque[slow] + 1e-6).all()
     again = clamp(GO1, command, state)
     np.testing.assert_allclose(again.position, command.position)
+
+
+@pytest.mark.parametrize("name", ["joint_position", "joint_velocity"])
+@pytest.mark.parametrize("damaged", [np.inf, -np.inf, np.nan, 1e300])
+@pytest.mark.parametrize("damping", [0.0, 1.0])
+def test_no_damaged_reading_makes_a_command_that_is_not_finite(name, damaged, damping):
+    """A warning of NumPy fails this test, too."""
+    values = fakes.STANDING.copy()
+    values[3] = damaged
+    given = fakes.command(fakes.STANDING + 0.1, damping=damping)
+    command = clamp(GO1, given, fakes.state(**{name: values}))
+    assert all(np.isfinite(part).all() for part in vars(command).values())
+    others = np.arange(12) != 3
+    np.testing.assert_array_equal(command.position, given.position)
+    assert (command.stiffness[others] > 0.0).all()

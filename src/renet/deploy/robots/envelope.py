@@ -53,11 +53,13 @@ def clamp(robot: Robot, command: JointCommand, state: RobotState | None = None) 
     damping = np.clip(parts["damping"], 0.0, robot.max_damping)
     if state is not None and stiffness.any():
         # Both gains shrink alike until the torque is one that the motor has.
-        torque = stiffness * (position - state.joint_position) - damping * state.joint_velocity
+        speed = state.joint_velocity
+        # A damaged reading may be infinite or huge, and its torque NaN, which scales nothing.
+        with np.errstate(invalid="ignore", over="ignore"):
+            torque = stiffness * (position - state.joint_position) - damping * speed
+            driven = (np.abs(speed) > robot.velocity) & (torque * speed > 0.0)
         share = np.minimum(1.0, robot.torque / np.fmax(np.abs(torque), 1e-9))
         stiffness = share * stiffness
         damping = share * damping
-        speed = state.joint_velocity
-        driven = (np.abs(speed) > robot.velocity) & (torque * speed > 0.0)
         stiffness = np.where(driven, 0.0, stiffness)
     return JointCommand(position, stiffness, damping)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.real.braking import Link
+from renet.deploy.robots.real.braking import Link, braking
 from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED
 from renet.deploy.robots.real.trouble import MotorTrouble
 from renet.errors import RenetError, install
@@ -86,6 +86,17 @@ class Go1Link(Link):
         self._strangers = 0
 
     def _send(self, command: JointCommand | None) -> None:
+        self._fill(command)
+        # The guard judges by the newest reading, so it waits for the first.
+        if self.state and self._safety.PowerProtect(self._out, self._in, self._level) < 0:
+            self.problem = "the vendor's guard says that the motors draw too much power"
+            # This very message must brake, not only the next one.
+            self._fill(None if command is None else braking(command))
+        self._udp.SetSend(self._out)
+        self._udp.Send()
+
+    def _fill(self, command: JointCommand | None) -> None:
+        """Put a command into the message to the motors; None leaves the one before."""
         for joint, motor in enumerate(MOTORS):
             servo = self._out.motorCmd[motor]
             servo.mode = _SERVO
@@ -96,11 +107,6 @@ class Go1Link(Link):
             servo.tau = 0.0
             servo.Kp = command.stiffness[joint]
             servo.Kd = command.damping[joint]
-        # The guard judges by the newest reading, so it waits for the first.
-        if self.state and self._safety.PowerProtect(self._out, self._in, self._level) < 0:
-            self.problem = "the vendor's guard says that the motors draw too much power"
-        self._udp.SetSend(self._out)
-        self._udp.Send()
 
     def _receive(self, now: float) -> None:
         self._udp.Recv()
