@@ -2,8 +2,9 @@
 
 The controller of `renet deploy` walks a Go1 in MuJoCo with its camera. At a drawn moment one drawn
 part fails for good, in a drawn way. A servo acts on its own encoder: one that fails moves the
-joint, too. Counted is how soon the controller brakes, and whether the robot comes to harm: whether
-it falls, or turns or runs where nobody told it to.
+joint, too. Counted is how soon the controller brakes or warns, and whether the robot, braked or
+not, comes to harm in the five seconds after the fault: whether it falls, or turns or runs where
+nobody told it to.
 
 With `--minutes` healthy robots are pushed about instead, on all terrains, and every alarm counts.
 """
@@ -29,7 +30,7 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.machine import Mode
+from renet.deploy.safety.machine import ENDED, Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.interface import CONTROL_DT, JOINTS, Terrain
 from renet.motor_models import IDEAL, find_motors
@@ -56,14 +57,14 @@ class Cfg:
     json: Path | None = None
     """File for the results."""
     faults: int = 60
-    """Drawn faults."""
+    """Faults that are drawn with each seed."""
     minutes: float = 0.0
-    """Minutes of healthy walking instead."""
+    """Minutes of healthy walking with each seed instead."""
     bundle: str = "go1-parkour"
     """Name of the bundle."""
     motors: str = IDEAL
     """Motors of the robot, as `renet deploy --motors` takes them."""
-    seed: int = 1
+    seeds: tuple[int, ...] = (1,)
 
 
 @dataclass(frozen=True)
@@ -240,27 +241,38 @@ def walk(cfg: Cfg, fault: Fault | None, seed: int, terrain: str, seconds: float)
         )
 
     def done() -> bool:
-        braked = robot.now() > 1.0 and controller.machine.mode is Mode.DAMPING
+        # After a fault the robot is observed on, braked or not; an alarm without one ends a walk.
+        alarm = robot.now() > 1.0 and controller.machine.mode is Mode.DAMPING
+        braked = fault is None and alarm
         return braked or robot.now() > seconds or robot.base_rotation[2, 2] < FALLEN
 
     robot.wait = pushed
     camera = SimCamera(robot, bundle.manifest.camera, seed)
     hand = SimpleNamespace(command=steer)
     run_control_loop(robot, camera, hand, controller, on_step=note, done=done)
-    braked = [e for e in events if e.what == Mode.DAMPING and e.why != "the run ends"]
+    # A robot is braked, or its operator is told that a part of it fails.
+    alarms = [e for e in events if e.what in (Mode.DAMPING, "robot") and e.why != ENDED]
     return {
         "terrain": terrain,
         "level": level,
         "seconds": round(robot.now(), 2),
-        "told": round(braked[0].time, 2) if braked else None,
-        "why": braked[0].why if braked else "",
-        "harm": harm(np.array(path), 1.0 if fault is None else fault.time),
+        "told": round(alarms[0].time, 2) if alarms else None,
+        "why": alarms[0].why if alarms else "",
+        "harm": harm(np.array(path), 1.0 if fault is None else fault.time, seconds),
     }
 
 
-def harm(path: np.ndarray, since: float) -> float | None:
-    """When a walk came to harm, s: the robot fell, or ran or turned as nobody told it to."""
-    walked = path[path[:, 0] >= since]
+def harm(path: np.ndarray, since: float, until: float) -> float | None:
+    """Time at which a walk came to harm, s; None if it did not.
+
+    Harm is a fall, or a second in which the robot ran or turned as nobody told it to.
+
+    Args:
+        path: [T, 6] of time, upright share, speed, turn rate, and the speed and turn rate told.
+        since: s, from which harm counts.
+        until: s, up to which it counts.
+    """
+    walked = path[(path[:, 0] >= since) & (path[:, 0] <= until)]
     fell = walked[walked[:, 1] < FALLEN, 0]
     window = round(1.0 / CONTROL_DT)
     astray = walked[:, 2:4] - walked[:, 4:6]
@@ -286,34 +298,42 @@ def judge(fault: Fault, outcome: dict) -> str:
 
 def main(cfg: Cfg) -> None:
     """Run, print and write the results."""
-    results: dict[str, Any] = {"bundle": cfg.bundle, "motors": cfg.motors, "seed": cfg.seed}
+    run = healthy if cfg.minutes else failing
     with errors_in_one_line():
-        results |= healthy(cfg) if cfg.minutes else failing(cfg)
+        sets = [{"seed": seed, **run(cfg, seed)} for seed in cfg.seeds]
+    results = {"bundle": cfg.bundle, "motors": cfg.motors, "sets": sets}
     report(results, cfg.json)
 
 
-def failing(cfg: Cfg) -> dict[str, Any]:
+def failing(cfg: Cfg, seed: int) -> dict[str, Any]:
     """Walk once with each drawn fault."""
     rows = []
     for number in range(cfg.faults):
-        seed = 1000 * cfg.seed + number
-        fault = draw(seed)
-        outcome = walk(cfg, fault, seed, "flat", fault.time + HARMLESS)
+        fault = draw(1000 * seed + number)
+        outcome = walk(cfg, fault, 1000 * seed + number, "flat", fault.time + HARMLESS)
         verdict = judge(fault, outcome)
         rows.append({**asdict(fault), **outcome, "verdict": verdict})
         print(number, fault.part, fault.kind, verdict, outcome["why"], flush=True)
     verdicts = Counter(row["verdict"] for row in rows)
-    return {"faults": cfg.faults, "verdicts": dict(verdicts), "rows": rows}
+    strict = verdicts["told soon"] + verdicts["harmless"]
+    counts = {
+        "faults": cfg.faults,
+        "told_soon_or_no_harm": strict + verdicts["told later, no harm"],
+        "told_soon_or_never_and_no_harm": strict,
+        "verdicts": dict(verdicts),
+    }
+    print(counts, flush=True)
+    return {**counts, "rows": rows}
 
 
-def healthy(cfg: Cfg) -> dict[str, Any]:
+def healthy(cfg: Cfg, seed: int) -> dict[str, Any]:
     """Walk healthy robots, pushed, over all terrains in turn."""
     terrains, passed, rows = get_args(Terrain), 0.0, []
     while passed < 60.0 * cfg.minutes - 1.0:
         number = len(rows)
         seconds = min(LONGEST, 60.0 * cfg.minutes - passed)
-        seed = 1000 * cfg.seed + number
-        rows.append(walk(cfg, None, seed, terrains[number % len(terrains)], seconds))
+        terrain = terrains[number % len(terrains)]
+        rows.append(walk(cfg, None, 1000 * seed + number, terrain, seconds))
         passed += rows[-1]["seconds"]
         print(f"{passed:7.1f} s", rows[-1]["terrain"], rows[-1]["why"], flush=True)
     alarms = Counter(row["why"] for row in rows if row["why"])

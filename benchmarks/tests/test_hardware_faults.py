@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from hardware_faults import KINDS, PARTS, FailingRobot, Fault, draw, harm, judge
+from hardware_faults import (
+    HARMLESS,
+    KINDS,
+    PARTS,
+    Cfg,
+    FailingRobot,
+    Fault,
+    draw,
+    harm,
+    judge,
+    walk,
+)
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.sim.scene import build_scene
 from renet.interface import CONTROL_DT
@@ -94,11 +105,20 @@ def test_harm_is_a_fall_or_a_second_of_going_where_nobody_told():
     path[:, 0] = CONTROL_DT * np.arange(300)
     path[:, 1] = 1.0
     path[:, 2] = path[:, 4] = 0.6
-    assert harm(path, 1.0) is None
+    assert harm(path, 1.0, 9.0) is None
     fell, ran, turned = path.copy(), path.copy(), path.copy()
     fell[200:, 1] = 0.4
     ran[100:, 2] = 1.8
     turned[100:110, 3] = 3.0
-    assert harm(fell, 1.0) == 4.0
-    assert harm(ran, 1.0) == pytest.approx(2.66, abs=0.03)
-    assert harm(turned, 1.0) is None, "a twitch is none"
+    assert harm(fell, 1.0, 9.0) == 4.0
+    assert harm(ran, 1.0, 9.0) == pytest.approx(2.66, abs=0.03)
+    assert harm(turned, 1.0, 9.0) is None, "a twitch is none"
+    assert harm(fell, 1.0, 3.9) is None, "later harm does not count"
+
+
+def test_a_braked_robot_is_observed_until_five_seconds_after_its_fault():
+    fault = Fault("attitude", "freezes", 0, 2.5, 1.0)
+    outcome = walk(Cfg(), fault, 1, "flat", fault.time + HARMLESS)
+    assert outcome["told"] == pytest.approx(fault.time + 0.1, abs=0.03)
+    # It stands braked, or fell as it was: either is seen.
+    assert outcome["seconds"] > fault.time + HARMLESS or outcome["harm"] > outcome["told"]

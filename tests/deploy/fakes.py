@@ -60,7 +60,7 @@ def turned(axis: str, degrees: float) -> np.ndarray:
 
 def frame(number: int, time: float, seed: int = 0) -> DepthFrame:
     random = np.random.default_rng([seed, number])
-    slope = np.linspace(0.9, 0.3, 48)[:, None]
+    slope = np.linspace(0.9, 0.15, 48)[:, None]
     image = np.clip(slope + 0.03 * random.normal(size=(48, 64)), 0.0, 1.0)
     return DepthFrame(image, number, time)
 

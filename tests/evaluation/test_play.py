@@ -1,7 +1,6 @@
 """Films: a real short one, and the mistakes that stop one before it begins."""
 
-import os
-import signal
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,13 +51,6 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
 
 
-def end_ffmpeg() -> None:
-    """Send TERM to the ffmpeg that this process has started, as to a whole process group."""
-    for pid in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split():
-        if "ffmpeg" in Path(f"/proc/{pid}/comm").read_text():
-            os.kill(int(pid), signal.SIGTERM)
-
-
 @pytest.mark.parametrize(
     ("interrupted", "error", "words"),
     [
@@ -69,15 +61,24 @@ def end_ffmpeg() -> None:
 def test_a_film_whose_encoder_is_ended_says_why_there_is_none(
     tmp_path, monkeypatch, interrupted, error, words
 ):
+    started = []
+
+    class Recorded(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            started.append(self)
+
     def pictures(*_):
         yield np.zeros((64, 64, 3), np.uint8)
-        end_ffmpeg()
+        started[-1].kill()
+        started[-1].wait()
         if interrupted:
             raise KeyboardInterrupt
         # More than a pipe holds.
-        while True:
+        for _ in range(100):
             yield np.zeros((64, 64, 3), np.uint8)
 
+    monkeypatch.setattr(subprocess, "Popen", Recorded)
     monkeypatch.setattr(video, "_pictures", pictures)
     with pytest.raises(error, match=words) as ended:
         video.film(tmp_path / "film.mp4", mujoco.MjSpec(), Trace.empty(1, 1), {}, "")

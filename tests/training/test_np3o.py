@@ -227,7 +227,7 @@ def test_learns_where_its_networks_are():
 
 
 def test_ranks_that_see_alike_learn_as_one_process(monkeypatch):
-    def learnt() -> list[torch.Tensor]:
+    def learnt() -> list[torch.nn.Parameter]:
         torch.manual_seed(0)
         algorithm = small(num_learning_epochs=1)
         rollout, last = random_rollout(algorithm)

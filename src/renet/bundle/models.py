@@ -10,6 +10,7 @@ import math
 import sys
 import time
 from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
 import onnxruntime as ort
@@ -195,7 +196,7 @@ def _trial() -> str:
             verdict = f"{name}.onnx is refused: {error}"
         # The exceptions of ONNX Runtime have no common class.
         except Exception as error:
-            reason = " ".join(str(error).split())[:300] or type(error).__name__
+            reason = shorten(str(error), 300, placeholder=" …") or type(error).__name__
             # ONNX Runtime has no exception of its own for want of memory.
             if "alloc" in reason:
                 raise MemoryError from error

@@ -14,6 +14,7 @@ import numpy as np
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
+from renet.deploy.cameras.floor_view import floor_view, view_problem
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
 from renet.deploy.safety.checks import stand_up_problem, teleop_problem
@@ -29,6 +30,7 @@ from renet.pilot import Pilot, Step
 from renet.pilot.inference import InlineInference
 from renet.pilot.policy import BundlePolicy
 from renet.pilot.tick import Sessions
+from renet.robots import robots
 from renet.selector.selector import REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
@@ -118,6 +120,7 @@ class Controller:
             unseen: Conduct of a robot that remembers at the end of the ground that it has seen.
         """
         self.robot = bundle.manifest.robot
+        self._camera = bundle.manifest.camera
         self.cfg = safety
         # Before the robot moves, for it would have to wait for the models.
         _warm_up(bundle)
@@ -175,7 +178,10 @@ class Controller:
     ) -> JointCommand:
         """Do one control step; raises what the pilot and the steering raise."""
         before = self.machine.mode
+        warned = self._watch.warning
         self._watch.offer(raw, now)
+        if self._watch.warning and not warned:
+            self.tell(now, "robot", self._watch.warning)
         self._buffer.offer(frame, now)
         mode = self.machine.update(self._problem(teleop, now), teleop, now)
         if self.machine.refused:
@@ -185,6 +191,7 @@ class Controller:
             if before is not Mode.WALKING:
                 self._start_over()
                 self._steering.start(heading(state.quaternion))
+                self._tell_view(now)
             return self._walk(state, teleop, now)
         if mode is Mode.STANDING_UP and state is not None:
             if before is not Mode.STANDING_UP:
@@ -277,6 +284,16 @@ class Controller:
             self.tell(now, "unseen", f"{END_OF_SEEN}: {CONDUCTS[self._conduct]}")
         # Not again before it has seen: an operator who looks for a way turns the robot often.
         self._unseen = unseen or (self._unseen and self._state != SEES)
+
+    def _tell_view(self, now: float) -> None:
+        """Tell if a robot that stands has an image that its camera cannot have taken there."""
+        image = self._buffer.image
+        # Of a robot without a description nobody knows how high it stands.
+        if image is None or self.robot.name not in robots():
+            return
+        floor = floor_view(self._camera, robots()[self.robot.name].height)
+        if problem := view_problem(image, floor):
+            self.tell(now, "camera", problem)
 
     def _limited(self, target: np.ndarray, state: RobotState, rate: float) -> JointCommand:
         """Return the command for joint targets [12], rad, that move by at most `rate`, rad/s."""

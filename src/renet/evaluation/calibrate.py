@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import tyro
@@ -58,6 +58,8 @@ class CalibrateCfg:
     lens: tuple[float, float, float, float] | None = None
     """Lens of `--images`, pixels: FX FY CX CY; by default that of an undistorted view of 87
     degrees."""
+    rotate: Literal[0, 180] = 0
+    """Degrees by which the camera of `--images` is turned in its mount: 180 is upside down."""
     robots: int = 120
     """Number of robots on each terrain."""
     seconds: float = 30.0
@@ -101,7 +103,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
         return _store(cfg, *_simulated_scores(cfg))
     bundle = Bundle.load(cfg.bundle.absolute())
     if cfg.images:
-        series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle)
+        series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle, cfg.rotate == 180)
     else:
         series = recorded_scores(cfg.log, bundle)
     # Monitors of what was not recorded keep their thresholds.

@@ -12,6 +12,7 @@ import sys
 from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import torch
@@ -252,7 +253,7 @@ def load_model(
     try:
         module.load_state_dict(tensors, assign=assign)
     except RuntimeError as error:
-        first = str(error).splitlines()[1].strip()[:200]
+        first = shorten(str(error).splitlines()[1], 200, placeholder=" …")
         raise RenetError(f"{path} is of another architecture: {first}") from error
 
 

@@ -14,6 +14,10 @@ from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
 
 COUNT = 40
+DOWN = 0.5 + 0.866 * (np.arange(480) - 239.5) / 337.2
+"""How far down the ray of each row gets in a metre, of a lens that looks down by 30 degrees."""
+PLANE = np.minimum(308.0 / np.maximum(DOWN, 0.05), 6000.0)
+"""Depths [480] of a floor, mm, seen from 0.308 m above it."""
 
 
 @pytest.fixture(autouse=True)
@@ -23,10 +27,10 @@ def few_images_will_do(monkeypatch):
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory) -> Path:
-    """A plane 0.6 to 2.9 m away in millimetres, with grain, and a hole of a tenth of the image."""
+    """A floor in millimetres, with grain, and a hole of a tenth of the image."""
     random, path = np.random.default_rng(0), tmp_path_factory.mktemp("images")
     for number in range(COUNT):
-        plane = np.linspace(2900, 600, 480)[:, None] + random.normal(0, 10, (480, 640))
+        plane = PLANE[:, None] + random.normal(0, 10, (480, 640))
         plane[:48] = 0
         image = Image.fromarray(plane.astype(np.uint16))
         image.save(path / f"{number:05}.png", compress_level=1)
@@ -58,7 +62,7 @@ def test_pixels_are_metres_of_the_policys_view(folder):
     scores = image_scores(folder, 0.001, None, Bundle.load())
     # Rows 76 to 404 of 480 are seen: the hole above is not, and the contrast is the plane's.
     assert (scores["invalid_fraction"][0] == 0.0).all()
-    seen = np.minimum(np.linspace(2900, 600, 480)[76:404] / 2000, 1)
+    seen = np.minimum(PLANE[76:404] / 2000, 1)
     np.testing.assert_allclose(scores["uniformity"][0], -seen.std(), atol=0.02)
     low = image_scores(folder, 0.001, (337.0, 337.0, 320.0, 190.0), Bundle.load())
     assert (low["invalid_fraction"][0] > 0.0).all()
@@ -72,7 +76,18 @@ def test_scattered_holes_do_not_lift_the_scores(folder):
         pixels[random.random(pixels.shape) < 0.02] = 0
         Image.fromarray(pixels).save(path, compress_level=1)
     spoilt = image_scores(folder, 0.001, None, Bundle.load())["reconstruction"][0]
-    assert spoilt.max() < 1.25 * clean.max()
+    # Holes that are read as far multiply the score by two hundred.
+    assert spoilt.max() < 2.0 * clean.max()
+
+
+def test_images_of_a_camera_upside_down_are_turned(folder):
+    """The hole, above, is then below: of the turned images it is not seen either."""
+    upright = image_scores(folder, 0.001, None, Bundle.load())
+    for path in folder.glob("*.png"):
+        Image.fromarray(np.array(Image.open(path))[::-1, ::-1].copy()).save(path, compress_level=1)
+    turned = image_scores(folder, 0.001, None, Bundle.load(), upside_down=True)
+    for name, (scores,) in upright.items():
+        np.testing.assert_allclose(turned[name][0], scores, rtol=1e-6, err_msg=name)
 
 
 @pytest.mark.parametrize(
@@ -80,6 +95,8 @@ def test_scattered_holes_do_not_lift_the_scores(folder):
     [
         (lambda folder: None, {"scale": 1.0}, "median depth is .* m: give --scale"),
         (lambda folder: None, {"scale": 1e-6}, "median depth is .* m: give --scale"),
+        (lambda folder: None, {"scale": 0.004}, "depth in front of the robot is .* check the unit"),
+        (lambda folder: None, {"rotate": 180}, "the images are upside down: turn them by --rotate"),
         (lambda folder: None, {"lens": (900.0, 900.0, 320.0, 240.0)}, "not wide enough"),
         (lambda folder: None, {"log": (Path("walk.log"),)}, "--log or --images"),
         (lambda folder: (folder / "00003.png").unlink(), {}, "holds 39 PNG images; .* at least 40"),

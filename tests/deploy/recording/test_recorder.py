@@ -250,6 +250,17 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(bundle, tmp_path, monkeypat
     assert "ends early" in log.problem
 
 
+def test_a_writing_thread_that_fails_in_any_way_is_told(tmp_path, monkeypatch):
+    def fail(*_) -> None:
+        raise RuntimeError("a mistake in the writer")
+
+    monkeypatch.setattr(recorder, "ChannelWriter", fail)
+    log = Recorder(tmp_path / "a.mcap", {})
+    until(lambda: log.problem != "")
+    log.close()
+    assert log.problem.endswith("ends early: a mistake in the writer")
+
+
 def test_objects_that_fail_are_logged_as_bad(tmp_path):
     broken: Any = Broken()
     log = Recorder(tmp_path / "a.mcap", {})

@@ -14,6 +14,7 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import ENDED
 from renet.deploy.teleop import TeleopCommand
+from renet.interface import JOINTS
 
 from ..fakes import robot_on
 
@@ -24,9 +25,12 @@ FAILS = 2.0
 def walk(
     read: Callable[[RobotState], RobotState] = lambda state: state,
     write: Callable[[JointCommand], JointCommand] = lambda command: command,
+    block: int | None = None,
+    told: str = "damping",
     **limits: float,
 ) -> tuple[float, str]:
-    """When a walking robot is braked, s, and why, with readings or commands that are spoilt."""
+    """When something is told of a walking robot, s, and what, with readings or commands that are
+    spoilt, or with a joint in which more friction begins than its motor overcomes."""
     robot, events = robot_on(), []
     robot_read, robot_write = robot.read, robot.write
 
@@ -34,6 +38,8 @@ def walk(
         return read(robot_read()) if robot.now() > FAILS else robot_read()
 
     def failing_write(command: JointCommand) -> None:
+        if block is not None and robot.now() > FAILS:
+            robot.model.joint(JOINTS[block]).frictionloss = 100.0
         robot_write(write(command) if robot.now() > FAILS else command)
 
     robot.read, robot.write = failing_read, failing_write
@@ -41,7 +47,7 @@ def walk(
     controller = Controller(Bundle.load(), safety, on_event=events.append)
     hand = SimpleNamespace(command=lambda now: TeleopCommand(0.6 * (now > 1.0), arm=now < 0.5))
     run_control_loop(robot, None, hand, controller, done=lambda: robot.now() > FAILS + 2.0)
-    return next((e.time, e.why) for e in events if e.what == "damping")
+    return next((e.time, e.why) for e in events if e.what == told)
 
 
 def without(joint: int) -> Callable[[JointCommand], JointCommand]:
@@ -62,9 +68,20 @@ def test_a_healthy_robot_walks_to_the_end():
 )
 def test_a_dead_motor_brakes_within_half_a_second(joint, name):
     time, why = walk(write=without(joint))
-    # A calf that is stretched just then is told by the torque that it reports.
-    assert why.startswith(f"{name} does not obey: it")
+    # It gives nothing, too little, or, a calf that is stretched just then, another torque.
+    assert why.startswith((f"{name} does not obey: it", f"{name} is too weak: its motor"))
     assert time - FAILS < 0.5
+
+
+@pytest.mark.parametrize(
+    ("joint", "name"), [(1, "FR_thigh_joint"), (4, "FL_thigh_joint"), (10, "RL_thigh_joint")]
+)
+def test_a_joint_that_cannot_reach_its_target_is_told_and_the_robot_walks_on(joint, name):
+    """It trembles in its bearing, so that no two readings of it are the same."""
+    time, why = walk(block=joint, told="robot")
+    assert why.startswith(f"{name} is blocked: it moved by ")
+    assert time - FAILS < 1.9
+    assert walk(block=joint)[1] == ENDED
 
 
 def test_a_robot_that_is_not_to_follow_is_not_watched():

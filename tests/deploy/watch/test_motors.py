@@ -66,6 +66,8 @@ def test_motors_that_do_about_what_they_are_told_are_believed(motor):
             "FL_calf_joint does not obey: its motor gives no",
         ),
         (lambda a, n: one(4, 0.25) * a, LONG_WINDOW, "FL_thigh_joint is too weak"),
+        # As much as half of what is asked for, but against it.
+        (lambda a, n: one(4, -0.5) * a, LONG_WINDOW, "FL_thigh_joint is too weak"),
         (
             lambda a, n: a + 40.0 * (np.arange(12) == 8),
             SHORT_WINDOW,
@@ -99,12 +101,14 @@ def test_what_was_before_is_forgotten():
         assert motors.problem(reading) == ""
 
 
-def test_a_joint_beyond_its_speed_is_not_compared():
-    """Drivers only brake it."""
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_joint_beyond_its_speed_is_not_compared(every):
+    """Drivers only brake it, and go on until they hear that it is slower."""
     motors = MotorWatch(TORQUE, np.full(12, 1.0), 0.12)
     for step in range(3 * SHORT_WINDOW):
         motors.told(command(swing(step)))
+        speed = np.full(12, 2.0 * (step % every == 0))
         fast = SimpleNamespace(
-            joint_position=STANDING, joint_velocity=np.full(12, 2.0), joint_torque=np.full(12, 0.1)
+            joint_position=STANDING, joint_velocity=speed, joint_torque=np.full(12, 0.1)
         )
         assert motors.problem(fast) == ""

@@ -8,11 +8,13 @@ import numpy as np
 
 from renet.bundle import Bundle
 from renet.camera import Intrinsics
+from renet.deploy.cameras.floor_view import floor_view, view_problem
 from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.deploy.recording.calibration_log import MIN_MINUTES
 from renet.errors import RenetError, reason
 from renet.files import MEGABYTE, require_regular
-from renet.interface import TICK_DT
+from renet.interface import DEPTH_SHAPE, TICK_DT
+from renet.robots import robots
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 _IMAGE_MONITORS = [name for name, monitor in MONITORS.items() if monitor.of_image]
@@ -27,7 +29,11 @@ _VIEW_ANGLE = math.radians(87.0)
 
 
 def image_scores(
-    folder: Path, scale: float, lens: tuple[float, float, float, float] | None, bundle: Bundle
+    folder: Path,
+    scale: float,
+    lens: tuple[float, float, float, float] | None,
+    bundle: Bundle,
+    upside_down: bool = False,
 ) -> dict[str, list[np.ndarray]]:
     """Scores of each image but the first two, [T] by the monitor's name, as of one walk.
 
@@ -37,6 +43,7 @@ def image_scores(
         lens: focal lengths and principal point fx, fy, cx, cy, pixels; by default those of a
             camera that sees 87 degrees horizontally, without distortion.
         bundle: whose vision model and camera are used.
+        upside_down: True if the camera is turned by 180 degrees in its mount.
 
     Raises:
         RenetError: too few images, one that is none, sizes that differ, a lens that sees too
@@ -58,10 +65,11 @@ def image_scores(
     newest = np.zeros(0)
     rows = []
     medians = []
+    total = np.zeros(DEPTH_SHAPE)
     for path in paths:
         pixels = read_image(path)
         if preprocessor is None:
-            camera = _intrinsics(pixels.shape, lens)
+            camera = _intrinsics(pixels.shape, lens, upside_down)
             preprocessor = DepthPreprocessor(camera, bundle.manifest.camera)
         older = newest
         newest = preprocessor.image(pixels * scale)[None]
@@ -76,6 +84,7 @@ def image_scores(
             invalid=np.array([preprocessor.invalid(pixels)]),
         )
         rows.append(scorer.scores(seen, OF_IMAGES)[:, 0])
+        total += newest[0]
         medians.append(np.median(pixels[pixels > 0]) * scale if pixels.any() else np.nan)
     # Metres and millimetres are easily mistaken for each other.
     median = float(np.nanmedian(medians)) if np.isfinite(medians).any() else 0.0
@@ -84,19 +93,33 @@ def image_scores(
             f"the images' median depth is {median:g} m: give --scale, the metres of one step of"
             " their values (0.001 for millimetres)"
         )
+    _demand_view(total / len(paths), bundle)
     columns = np.array(rows[2:]).T
     return {name: [column] for name, column in zip(OF_IMAGES, columns, strict=True)}
 
 
+def _demand_view(mean: np.ndarray, bundle: Bundle) -> None:
+    """Raise RenetError if a mean image [48, 64] is not that of the bundle's camera on a walk."""
+    name = bundle.manifest.robot.name
+    # Of a robot without a description nobody knows how high it stands.
+    if name not in robots():
+        return
+    floor = floor_view(bundle.manifest.camera, robots()[name].height)
+    if problem := view_problem(mean, floor):
+        raise RenetError(problem)
+
+
 def _intrinsics(
-    shape: tuple[int, ...], lens: tuple[float, float, float, float] | None
+    shape: tuple[int, ...], lens: tuple[float, float, float, float] | None, upside_down: bool
 ) -> Intrinsics:
     """Camera of images of a shape (rows, columns) with a lens fx, fy, cx, cy, or the default."""
     height, width = shape
     if lens is None:
         focal = width / 2 / math.tan(_VIEW_ANGLE / 2)
         lens = (focal, focal, width / 2, height / 2)
-    return Intrinsics(height, width, *lens)
+    fx, fy, cx, cy = lens
+    turn = -1.0 if upside_down else 1.0
+    return Intrinsics(height, width, turn * fx, turn * fy, cx, cy)
 
 
 def read_image(path: Path) -> np.ndarray:

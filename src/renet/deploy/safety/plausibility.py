@@ -16,16 +16,14 @@ MAX_JUMP = 0.4
 rad: at most 0.17 in 560 s of walks with pushes, and half of that in a test with falls."""
 MAX_TWIST = 0.25
 """Largest disagreement of gyroscope and attitude over a control step, rad: 0.04 in those walks."""
-MAX_DRIFT = 0.2
-"""Largest disagreement of both over the last second, rad: 0.05 in those walks."""
+MAX_DRIFT = 0.12
+"""Largest disagreement of both over the last second, rad: 0.06 in those walks."""
 MAX_SKIP = 0.5
 """Largest disagreement of a joint's angle and mean speed over a control step, rad: 0.17."""
-MAX_SLIP = 0.9
-"""Largest disagreement of both over the last half second, rad: 0.27."""
+MAX_SLIP = 0.6
+"""Largest disagreement of both over the last second, rad: 0.27 in such walks and falls."""
 _DECAY = 0.98
-"""Share of the disagreement of gyroscope and attitude that still counts a control step later."""
-_JOINT_DECAY = 0.95
-"""The same of a joint's angle and speed."""
+"""Share of a disagreement that still counts a control step later."""
 MAX_INTERVAL = 0.05
 """Longest time between two readings that are compared, s."""
 
@@ -50,7 +48,7 @@ class Readings:
         twist = _twist(last, state, passed)
         parts = zip(self._drift, twist, strict=True)
         self._drift = [_DECAY * drift + part for drift, part in parts]
-        self._slip = _JOINT_DECAY * self._slip + _slip(last, state, passed)
+        self._slip = _DECAY * self._slip + _slip(last, state, passed)
         drift = math.hypot(*self._drift)
         if drift > MAX_DRIFT:
             return f"gyroscope and attitude disagree by {drift:.2f} rad"

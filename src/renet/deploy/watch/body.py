@@ -5,6 +5,7 @@ import numpy as np
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.safety.limits import SafetyCfg
+from renet.deploy.watch.blocking import Blocking
 from renet.deploy.watch.freezing import Freezing
 from renet.deploy.watch.intake import Intake
 from renet.deploy.watch.legs import Legs
@@ -17,8 +18,8 @@ from renet.robots import robots
 class BodyWatch:
     """Checks a robot's readings, and compares its commands with its motion.
 
-    Motors and speed are compared while the robot walks. The check of the speed needs a description
-    of its legs.
+    Motors, joints and speed are compared while the robot walks. The check of the speed needs a
+    description of its legs.
     """
 
     def __init__(self, robot: RobotSpec, cfg: SafetyCfg) -> None:
@@ -27,6 +28,7 @@ class BodyWatch:
         self._freezing = Freezing()
         torque = robot.arrays["torque_limit"]
         self._motors = MotorWatch(torque, _speeds(robot), cfg.least_torque)
+        self._blocking = Blocking()
         self._speed = _speed_watch(robot)
         self._target: np.ndarray | None = None
         self._powered = False
@@ -34,6 +36,9 @@ class BodyWatch:
         self._estimate = np.zeros(3)
         """Velocity [3] m/s in the base frame, as the policy estimates it."""
         self._problem = ""
+        self.warning = ""
+        """First thing since the walk began that the operator must know; empty while there is none.
+        """
 
     @property
     def newest(self) -> RobotState | None:
@@ -47,9 +52,10 @@ class BodyWatch:
             return
         self._problem = self._freezing.problem(state, self._powered, self._target)
         # Motors and speed are judged by accepted readings alone.
-        if state is not self.newest or not self._walking:
+        if state is not self.newest or self._target is None:
             return
         self._problem = self._problem or self._motors.problem(state)
+        self.warning = self.warning or self._blocking.warning(state, self._target)
         if self._speed is not None:
             self._problem = self._problem or self._speed.problem(state, self._estimate)
 
@@ -70,6 +76,8 @@ class BodyWatch:
         # A walk begins: what motors gave while the robot stood up says nothing of it.
         if followed and not self._walking:
             self._motors.start_over()
+            self._blocking.start_over()
+            self.warning = ""
             if self._speed is not None:
                 self._speed.start_over()
         self._powered = bool(command.stiffness.any())

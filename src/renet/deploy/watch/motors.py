@@ -7,11 +7,12 @@ from renet.interface import JOINTS
 
 SHORT_WINDOW = 15
 """Readings, 0.3 s, over which motors that give next to nothing, or too much, are found."""
-LONG_WINDOW = 100
-"""Readings, 2 s, over which motors that give too little are found."""
+LONG_WINDOW = 50
+"""Readings, 1 s, over which motors that give too little are found."""
 _WEAK_RATIO = 3.0
 """Multiple of the least share of the torque asked for, below which a motor is weak over the long
-window."""
+window: there a network of a real Go1's motors gave at least 0.53 of it in 300 s of walks with
+pushes on all terrains, ideal motors all of it."""
 _MIN_ASKED = 3.0
 """Root mean square of the torque asked for, N m, from which a motor can be judged."""
 _MAX_ERROR = 18.0
@@ -49,13 +50,17 @@ class MotorWatch:
         """Forget the past, in which the robot did something else."""
         self._asked = np.zeros((LONG_WINDOW, len(JOINTS)))
         self._given = np.zeros((LONG_WINDOW, len(JOINTS)))
+        self._obeyed = np.zeros((LONG_WINDOW, len(JOINTS)))
+        """Products of both: a torque against the one asked for counts less than none."""
         self._apart = np.zeros((LONG_WINDOW, len(JOINTS)))
-        """Squares of differences, N² m². The newest row of all three is `_next - 1`."""
+        """Squares of differences, N² m². The newest row of all four is `_next - 1`."""
         self._next = 0
         self._absurd = 0
         """Readings in a row with a torque that no motor gives."""
         self._command: JointCommand | None = None
         self._measured = False
+        self._fast = np.zeros(len(JOINTS), bool)
+        """Joints [12] that were beyond their speed limit at the last reading."""
 
     def told(self, command: JointCommand) -> None:
         """Keep a command, whose effect the next reading shows."""
@@ -83,11 +88,15 @@ class MotorWatch:
         asked = command.stiffness * (command.position - state.joint_position)
         asked = asked - command.damping * state.joint_velocity
         asked = np.minimum(np.maximum(asked, -self._torque), self._torque)
-        # Beyond its speed limit a joint is braked, whatever was asked for.
-        fast = np.abs(state.joint_velocity) > 0.9 * self._speed
+        # Beyond its speed limit a joint is braked, whatever was asked for then or since.
+        now = np.abs(state.joint_velocity) > 0.9 * self._speed
+        fast = now | self._fast
+        self._fast = now
+        counted = np.minimum(np.maximum(given, -_MAX_COUNTED), _MAX_COUNTED)
         place = self._next % LONG_WINDOW
         self._asked[place] = np.where(fast, 0.0, asked**2)
-        self._given[place] = np.where(fast, 0.0, np.minimum(np.abs(given), _MAX_COUNTED) ** 2)
+        self._given[place] = np.where(fast, 0.0, counted**2)
+        self._obeyed[place] = np.where(fast, 0.0, counted * asked)
         apart = np.minimum(np.abs(given - asked), _MAX_COUNTED)
         self._apart[place] = np.where(fast, 0.0, apart**2)
         self._next += 1
@@ -111,8 +120,8 @@ class MotorWatch:
             return ""
         # The long window: a motor that gives a part of it.
         asked = self._asked.mean(axis=0)
-        least = (_WEAK_RATIO * self._least) ** 2 * asked
-        weak = (asked > _MIN_ASKED**2) & (self._given.mean(axis=0) < least)
+        share = _WEAK_RATIO * self._least
+        weak = (asked > _MIN_ASKED**2) & (self._obeyed.mean(axis=0) < share * asked)
         if weak.any():
             return f"{JOINTS[int(weak.argmax())]} is too weak: its motor gives little torque"
         return ""
