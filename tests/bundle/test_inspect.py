@@ -6,7 +6,7 @@ import math
 import pytest
 
 from renet.bundle import SHIPPED, pretrained, read_manifest
-from renet.bundle.inspect import UNITS, InspectCfg, field_rows, inspect
+from renet.bundle.inspect import FIELD_UNITS, InspectCfg, field_rows, inspect
 
 
 def test_every_field_has_a_line_and_every_unit_a_field():
@@ -17,7 +17,7 @@ def test_every_field_has_a_line_and_every_unit_a_field():
         for field in dataclasses.fields(part):
             fields.add(field.name)
             assert any(name.split(".")[0] == field.name for name in rows)
-    assert UNITS.keys() <= fields
+    assert FIELD_UNITS.keys() <= fields
     camera = {name: (value, unit) for name, value, unit in field_rows(manifest.camera)}
     ahead, left, up = map(float, camera["position"][0].split(", "))
     assert math.dist((ahead, left, up), manifest.camera.position) < 1e-6

@@ -18,7 +18,7 @@ ELEMENTS = {
 }
 """Names of the numbers of a term. Every other term has one number for each joint."""
 
-UNITS = {
+FIELD_UNITS = {
     "steps": "of all robots together",
     "seconds": "s",
     "rate_hz": "1/s",
@@ -76,7 +76,7 @@ def field_rows(part: ProvenanceSpec | SelectorSpec | CameraSpec) -> list[tuple[s
             for key, number in value.items():
                 rows.append((f"{name}.{key}", _text(number), ""))
         else:
-            rows.append((name, _text(value), UNITS.get(name, "")))
+            rows.append((name, _text(value), FIELD_UNITS.get(name, "")))
     return rows
 
 

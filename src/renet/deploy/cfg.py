@@ -25,7 +25,7 @@ from renet.interface import CONTROL_DT, MAX_SPEED, PilotMode, Unseen
 ENTRY_POINTS = "renet.robots"
 """Group of entry points: modules of other packages, which add robots, cameras and operators to the
 tables of `catalogue`."""
-SHORT_RUN = 15.0
+UNSTEERED_SECONDS = 15.0
 """Length of a run that nobody steers, s."""
 DEADMAN = 5.0
 """Time for which a real robot goes on without a sign of its operator, s."""
@@ -130,7 +130,7 @@ class DeployCfg:
     @property
     def length(self) -> float:
         """Seconds after which the run ends by itself."""
-        steered = math.inf if self.teleop != "auto" else SHORT_RUN
+        steered = math.inf if self.teleop != "auto" else UNSTEERED_SECONDS
         return steered if self.seconds is None else self.seconds
 
     @property

@@ -24,9 +24,11 @@ Twist = message_type("Twist_", TWIST, "geometry_msgs.msg.dds_")
 Time = make_idl_struct(
     "Time_", "builtin_interfaces.msg.dds_.Time_", {"sec": types.int32, "nanosec": types.uint32}
 )
-Header = make_idl_struct("Header_", "std_msgs.msg.dds_.Header_", {"stamp": Time, "frame_id": str})
+StdHeader = make_idl_struct(
+    "Header_", "std_msgs.msg.dds_.Header_", {"stamp": Time, "frame_id": str}
+)
 TwistStamped: Any = make_idl_struct(
-    "TwistStamped_", "geometry_msgs.msg.dds_.TwistStamped_", {"header": Header, "twist": Twist}
+    "TwistStamped_", "geometry_msgs.msg.dds_.TwistStamped_", {"header": StdHeader, "twist": Twist}
 )
 """Velocity with a header. Its samples are those of `Twist`: the stamp is by a clock that need not
 be this computer's, and the frame is taken to be the base."""

@@ -28,7 +28,7 @@ MIN_SECONDS = 2.0
 OUTSIDE = 0.3
 """rad by which a joint may be measured beyond its limits: zeros of encoders are not exact."""
 HEADER = ("motor", "armature, kg m²", "damping, N m s/rad", "friction, N m", "delay, ms")
-UNITS = (1.0, 1.0, 1.0, 1000.0)
+PRINTED_UNITS = (1.0, 1.0, 1.0, 1000.0)
 """Factors from `motors.PARAMETERS` to the columns of the table."""
 
 
@@ -215,7 +215,7 @@ def _show(names: tuple[str, ...], fit: Fit, evidence: Mapping[str, Any]) -> None
     rows = []
     for name, values, errors in zip(names, fit.motors, fit.standard_error, strict=True):
         row = [name]
-        for value, error, unit in zip(values, errors, UNITS, strict=True):
+        for value, error, unit in zip(values, errors, PRINTED_UNITS, strict=True):
             uncertain = "at its least" if math.isnan(error) else f"± {unit * error:.2g}"
             row.append(f"{unit * value:.4g} {uncertain}")
         rows.append(row)

@@ -42,7 +42,7 @@ PANELS = (
     ("env-steps/s", ("Perf/total_fps",)),
 )
 """Titles of the figure's panels, and their curves: a tuple of names, or a prefix of names."""
-SHORT_RUN = 20
+FEW_ITERATIONS = 20
 """Number of iterations up to which each is a point, because a line through one is invisible."""
 PAST_WEIGHT = 0.9
 """Weight of past values in the figure's exponential moving averages."""
@@ -146,7 +146,7 @@ def write_run_report(run: Path) -> Path:
             values = [curves[name][iteration] for iteration in iterations]
             smooth = list(accumulate(values, _smooth))
             last[name] = smooth[-1]
-            marker = "o" if len(iterations) <= SHORT_RUN else ""
+            marker = "o" if len(iterations) <= FEW_ITERATIONS else ""
             axis.plot(iterations, smooth, marker=marker, markersize=4, label=name.split("/")[-1])
         axis.set(title=title, xlabel="iteration")
         axis.grid(alpha=0.3)

@@ -213,19 +213,26 @@ def train(cfg: TrainCfg, started: float | None = None) -> Path | None:
         newest = learn(cfg, runner, run, console, deadline, received)
         if run is None:
             return None
-        if runner.late:
-            passed = time.monotonic() - started
-            console.print(
-                f"Ended after {passed:.0f} s of the time budget of {cfg.time_budget}: a further "
-                f"iteration, of up to {runner.longest:.0f} s, might not fit; --resume {run} goes on"
-            )
-        if (run / CURVES).exists():
-            console.print(f"Curves: {write_run_report(run)}")
+        tell_end(cfg, runner, run, started, console)
         if received:
             console.print(f"Stopped at {newest}: renet train {cfg.task} --resume {run} goes on")
             # The exit code by which shells report a signal.
             raise SystemExit(128 + received[0])
     return run
+
+
+def tell_end(
+    cfg: TrainCfg, runner: RenetRunner, run: Path, started: float, console: Console
+) -> None:
+    """Say why a run ended before its last iteration, if by its budget, and draw its curves."""
+    if runner.late:
+        console.print(
+            f"Ended after {time.monotonic() - started:.0f} s of the time budget of "
+            f"{cfg.time_budget}: a further iteration, of up to {runner.longest:.0f} s, might not "
+            f"fit; --resume {run} goes on"
+        )
+    if (run / CURVES).exists():
+        console.print(f"Curves: {write_run_report(run)}")
 
 
 def make_runner(

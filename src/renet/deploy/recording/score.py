@@ -110,7 +110,7 @@ def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
     first = float(start + min(onsets, default=np.inf))
-    sunk = in_gap(run)
+    sunk = sunk_in_gap(run)
     # A robot on stairs that is damped as the run ends may topple: that is no fall of the policy.
     until = next((event.time for event in run.events if event.why == ENDED), np.inf)
     # A robot that has fallen into a gap may struggle there, which is no second fall.
@@ -193,7 +193,7 @@ def on_old_image(ticks: np.ndarray) -> np.ndarray:
     return ticks["vision"] & ticks["has_image"] & (ticks["frame_age"] > _OLD_IMAGE)
 
 
-def in_gap(run: Recording) -> np.ndarray:
+def sunk_in_gap(run: Recording) -> np.ndarray:
     """Mask [T] of ticks at which a simulated robot is in the gap of its tile."""
     ticks = run.ticks
     level = run.header.get("level")
