@@ -11,7 +11,7 @@ import numpy as np
 import onnxruntime as ort
 import tyro
 
-from renet.errors import RenetError
+from renet.errors import RenetError, reason
 from renet.evaluation.evaluator import Evaluator, Provenance
 from renet.evaluation.rollout import demand_shapes
 from renet.evaluation.studies.faults import FaultStudy
@@ -26,7 +26,12 @@ class TheirPolicy:
     def __init__(self, model: Path, num_robots: int):
         options = ort.SessionOptions()
         options.intra_op_num_threads = 1  # Several would spin between operations.
-        self.model = ort.InferenceSession(model, options)
+        options.log_severity_level = 4  # What is wrong with a model, the exception says.
+        try:
+            self.model = ort.InferenceSession(model, options)
+        except Exception as error:  # ONNX Runtime's have no base class of their own.
+            line = str(error).splitlines()[0]
+            raise RenetError(f"{model} is no ONNX model: {line}; export yours as one") from None
         demand_shapes(model, [*self.model.get_inputs(), *self.model.get_outputs()], SHAPES)
         self.anomaly_score = np.zeros(num_robots)  # Constant: only the other monitors judge images.
 
@@ -41,15 +46,20 @@ class TheirPolicy:
 class TheirEvaluator(Evaluator):
     def __init__(self, model: Path):
         super().__init__()
-        digest = hashlib.sha256(model.read_bytes()).hexdigest()
+        try:
+            digest = hashlib.sha256(model.read_bytes()).hexdigest()
+        except OSError as error:
+            raise RenetError(f"cannot read {model}: {reason(error)}; name an ONNX file") from None
         self.make_policy = lambda num_robots: TheirPolicy(model, num_robots)
         self.provenance = lambda seed: Provenance(model.stem, digest, "native", seed)
 
 
 def main(model: tyro.conf.Positional[Path], results: Path = Path("results")) -> None:
     """Look at single faults with an ONNX policy, and print who crosses."""
+    evaluator = TheirEvaluator(model)
+    evaluator.make_policy(1)  # What is no such model is refused before a file is written.
     study = FaultStudy(out=results / model.stem, quick=True)
-    summary = study.run(TheirEvaluator(model))
+    summary = study.run(evaluator)
     for title, header, rows in study.tables(summary):
         show(title, header, rows)
 

@@ -1,6 +1,9 @@
 """The example that benchmarks somebody else's policy, on a policy that stands still."""
 
 import json
+import re
+import runpy
+import sys
 from hashlib import sha256
 
 import numpy as np
@@ -55,6 +58,26 @@ def test_a_model_with_other_inputs_is_told_what_it_is_given(tmp_path, theirs, me
     with pytest.raises(RenetError, match=message) as error:
         example.TheirPolicy(tmp_path / "theirs.onnx", 2)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot read .*theirs.pt: No such file.*"),
+        (b"PK\3\4", ".*theirs.pt is no ONNX model: .*"),
+    ],
+)
+def test_a_file_that_is_no_model_ends_in_one_line(tmp_path, monkeypatch, capsys, content, message):
+    path = tmp_path / "theirs.pt"
+    if content is not None:
+        path.write_bytes(content)
+    results = tmp_path / "results"
+    monkeypatch.setattr(sys, "argv", ["example", str(path), "--results", str(results)])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(example.__file__, run_name="__main__")
+    assert ended.value.code == 2
+    assert re.fullmatch(message, capsys.readouterr().err.rstrip("\n"))
+    assert not results.exists()
 
 
 def test_it_is_studied_with_one_command(model, tmp_path, monkeypatch, capsys):
