@@ -119,7 +119,7 @@ COMMANDS = {
         "sim",
     ),
     "train": _train(
-        "train RENet on a CPU or on GPUs",
+        "train a policy on a CPU or on GPUs",
         "renet.training.train:TrainCfg:train_command",
         options="renet.options:UsualOptions",
         beginning="Loading PyTorch and building the task; this takes a minute or two",

@@ -68,7 +68,7 @@ class DeployCfg:
     glare:3@4s+2s."""
     mode: PilotMode = "memory"
     """memory: all monitors, and the memory of the ground. switch: the paper's switch, by the
-    reconstruction loss alone. camera: always on camera. blind: never."""
+    reconstruction loss alone. camera: every image is used. blind: none is."""
     unseen: Unseen = "walk"
     """In mode memory, at the end of the ground that the robot has seen before its camera failed.
     walk: go on. slow: go on slowly. stop: stand until it sees again, or is told another way."""

@@ -46,7 +46,7 @@ CONFIG_FILE = "config.json"
 
 @dataclass(kw_only=True)
 class TrainCfg(TrainOptions):
-    """Train RENet. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
+    """Train a policy. On a CPU the native engine steps C MuJoCo; on a GPU MuJoCo Warp.
 
     A task is registered with two configurations, whose settings are options `--agent...` and
     `--env...`. mjlab's own `train` takes the same options and trains the same. The recipe's
