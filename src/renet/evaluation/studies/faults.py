@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
@@ -387,11 +388,7 @@ class FaultStudy(WalkingStudy):
             "rule of mode switch": _noticed_cells(obeying, "detected_by_paper"),
         }
         return {
-            "crossed.png": figures.colour_tables(
-                _mode_panels(modes, _crossed, "ground"),
-                "Robots that cross (%), all severities and onsets together",
-                width=0.62,
-            ),
+            "crossed.png": crossed_table(modes),
             "survival.png": figures.colour_tables(
                 _mode_panels(modes, itemgetter("survival"), "severity"),
                 "Robots on their feet (%), all grounds and onsets together",
@@ -455,6 +452,12 @@ def _healthy_walks(no_fault: Part, healthy: Part) -> dict[str, Any]:
         "upper_95_per_hour": metrics.poisson_upper(switches) / hours if hours else math.nan,
         "alarms_by_monitor": healthy.get("alarms", {}),
     }
+
+
+def crossed_table(modes: Mapping[str, list[dict[str, Any]]]) -> Figure:
+    """Coloured table of the robots that cross, by fault and ground; rows of a summary by mode."""
+    title = "Robots that cross (%), all severities and onsets together"
+    return figures.colour_tables(_mode_panels(modes, _crossed, "ground"), title, width=0.62)
 
 
 def _crossed(run: dict[str, Any]) -> float:

@@ -1,0 +1,30 @@
+"""tools/redraw.py: the documents' figures from the results."""
+
+import json
+
+import pytest
+from PIL import Image
+
+import redraw
+
+FIGURES = redraw.ROOT / "docs" / "figures"
+
+
+@pytest.mark.parametrize("name", redraw.FIGURES)
+def test_a_figure_is_drawn_with_the_origin_of_its_results(tmp_path, name):
+    redraw.main([name], tmp_path)
+    file, _ = redraw.FIGURES[name]
+    made = json.loads((redraw.RESULTS / f"{file}.json").read_text())["provenance"]
+    with Image.open(tmp_path / f"{name}.png") as new, Image.open(FIGURES / f"{name}.png") as shown:
+        assert new.info["Description"] == shown.info["Description"]
+        assert new.info["Description"].endswith(made["command"])
+
+
+def test_intervals_follow_from_counts():
+    bootstrap = {"crossed_ci95_low": 1.0, "crossed_ci95_high": 1.0}
+    summary = {"runs": [{"robots": 20, "crossed": 20} | bootstrap], "robots": 20}
+    exact = redraw.with_exact_intervals(summary, "crossed", "crossed")
+    assert exact["robots"] == 20
+    # Of n out of n, the lower limit p solves p^n = 0.025.
+    assert exact["runs"][0]["crossed_ci95_low"] == pytest.approx(0.025 ** (1 / 20))
+    assert exact["runs"][0]["crossed_ci95_high"] == 1.0
