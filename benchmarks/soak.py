@@ -271,8 +271,11 @@ class Soak:
 
         def on_step(command: JointCommand, state: RobotState | None) -> None:
             robot.walking = controller.machine.mode is Mode.WALKING
+            armed = operator.armed
+            # While a program ends, nobody asks the operator.
+            operator.armed = False
             with self.promises.checked():
-                self.promises.step(command, operator.armed)
+                self.promises.step(command, armed)
                 self.samples.look(robot, cfg.minutes)
 
         inference = ThreadedInference if cfg.wall else InlineInference

@@ -112,7 +112,7 @@ def test_nobody_is_asked_for_a_command_once_the_run_ends(bundle, tmp_path):
     [
         ("robot", "read", boom, "the state is 60 ms old"),
         ("robot", "read", lambda: None, "the state is 60 ms old"),
-        ("robot", "read", lambda: "fine", "joint_position"),
+        ("robot", "read", lambda: "fine", "joint_velocity"),
         ("teleop", "command", boom, "operator stop"),
         ("teleop", "command", lambda: None, "AttributeError"),
         ("teleop", "command", lambda: TeleopCommand(stop=True), "operator stop"),

@@ -31,6 +31,19 @@ NEWS = ("#message", "#verdict", ".state span:not(:empty)")
 """What comes and goes there."""
 
 
+BOXES = """parts => {
+  const boxes = {};
+  for (const part of parts) {
+    const visible = [...document.querySelectorAll(part)].filter(e => e.checkVisibility());
+    visible.forEach((element, number) => {
+      boxes[`${part} ${number}`] = element.getBoundingClientRect().toJSON();
+    });
+  }
+  return boxes;
+}"""
+"""Function of the page: places of the visible elements of each selector, px."""
+
+
 class Visit:
     """The page as a visitor has it."""
 
@@ -63,10 +76,8 @@ class Visit:
 
     def demand_order(self, parts: tuple[str, ...]) -> None:
         """Fail where visible parts lie upon each other, or beyond the sides of the window."""
-        boxes = {}
-        for part in parts:
-            for number, place in enumerate(self.page.locator(part).filter(visible=True).all()):
-                boxes[f"{part} {number}"] = place.bounding_box()
+        # All at one moment, as words that change move what is beside them.
+        boxes = self.page.evaluate(BOXES, list(parts))
         assert len(boxes) >= 8
         for (first, a), (second, b) in combinations(boxes.items(), 2):
             across = min(a["x"] + a["width"], b["x"] + b["width"]) - max(a["x"], b["x"])
