@@ -74,7 +74,7 @@ class TrainOptions:
 
 @dataclass(kw_only=True)
 class UsualOptions(TrainOptions):
-    """Train a policy. Settings of a task are options, too: --agent.NAME and --env.NAME.
+    """Train a policy. A task's settings are options, too: --agent.NAME and --env.NAME.
 
     `renet train TASK --help-all` lists them, `renet recipe` prints their values.
     """
