@@ -33,8 +33,8 @@ class BenchmarkStudy(Study):
     policy: Path | None = None
     """Model of another project, .onnx or TorchScript (.pt), in place of a bundle."""
     adapter: str | None = None
-    """Adapter for its inputs and outputs: onnx-depth, playground, himloco, robogauge, robot-lab, or
-    a FILE.py of your own (docs/benchmark.md)."""
+    """Adapter for its inputs and outputs: onnx-depth, extreme-parkour, playground, himloco,
+    robogauge, robot-lab, or a FILE.py of your own (docs/benchmark.md)."""
     entries: tuple[EntryName, ...] = ()
     """Ways to use the models; by default memory, switch, camera, blind and healthy. A policy with
     an adapter walks as camera and healthy, or as blind if it reads no image."""
