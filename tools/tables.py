@@ -222,7 +222,6 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("docs/benchmark.md", "Results"): None,
     ("docs/benchmark.md", "Loud faults and lies"): loudness,
     ("docs/benchmark.md", "The lead of memory"): lead_of_memory,
-    ("docs/benchmark.md", "The kilometre"): kilometre,
     ("benchmarks/NOTES.md", "The quick set"): None,
     ("benchmarks/NOTES.md", "The kilometre"): kilometre,
     ("benchmarks/NOTES.md", "Where they fall"): sections,
