@@ -191,11 +191,14 @@ class BenchmarkStudy(Study):
         result = self._result(summary)
         return [ranking([result]), measures([result]), family_table(result)]
 
-    def main(self) -> None:
-        """Run the study and print its tables, or verify a result; raises RenetError if it fails."""
+    def main(self) -> str | None:
+        """Run the study and print its tables, or verify a result; raises RenetError if it fails.
+
+        Returns:
+            The verdict on a result, for the command line to print in place of the folder.
+        """
         if self.verify is None:
-            super().main()
-            return
+            return super().main()
         from renet.evaluation.benchmark.verify import verify
 
-        print(verify(self, self.verify))
+        return verify(self, self.verify)
