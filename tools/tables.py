@@ -38,18 +38,19 @@ SWITCHES = (
     ("severity_5", "blind"),
 )
 """Studies and modes of the table of switches, column by column."""
-LEADERBOARDS = {
-    "Results": (
-        "full/go1-parkour",
-        "full/oracle",
-        "full/oracle_withholds",
-        "full/himloco",
-        "full/robot-lab",
-        "full/robogauge",
-    ),
-    "The quick set": ("go1-parkour", "playground", "himloco", "robogauge", "robot-lab"),
-}
-"""Result files of the fault benchmark's leaderboards, the reference first, by heading."""
+LEADERBOARD = (
+    "go1-parkour",
+    "oracle",
+    "oracle_withholds",
+    "gate",
+    "gate_withholds",
+    "go2-parkour",
+    "playground",
+    "himloco",
+    "robot-lab",
+    "robogauge",
+)
+"""Result files of the fault benchmark's leaderboard, the reference first."""
 
 
 @cache
@@ -222,7 +223,6 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("docs/benchmark.md", "Results"): None,
     ("docs/benchmark.md", "Loud faults and lies"): loudness,
     ("docs/benchmark.md", "The lead of memory"): lead_of_memory,
-    ("benchmarks/NOTES.md", "The quick set"): None,
     ("benchmarks/NOTES.md", "The kilometre"): kilometre,
     ("benchmarks/NOTES.md", "Where they fall"): sections,
 }
@@ -230,9 +230,9 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
 None: a leaderboard, whose rows are all new."""
 
 
-def leaderboard(heading: str) -> list[list[str]]:
-    """The rows of a leaderboard of the fault benchmark, best first."""
-    files = [RESULTS / "benchmark" / f"{name}.json" for name in LEADERBOARDS[heading]]
+def leaderboard() -> list[list[str]]:
+    """The rows of the fault benchmark's leaderboard, best first."""
+    files = [RESULTS / "benchmark" / "full" / f"{name}.json" for name in LEADERBOARD]
     rows = ranking([read_result(file) for file in files])[2]
     return [[*row[:-1], row[-1].replace("-", "−")] for row in rows]
 
@@ -244,7 +244,7 @@ def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = No
     top = next(i for i in range(below, len(text)) if text[i].startswith("|---")) + 1
     end = next(i for i in range(top, len(text)) if not text[i].startswith("|"))
     labels = [line.strip("| ").split(" | ")[0] for line in text[top:end]]
-    rows = [[label, *fill(label)] for label in labels] if fill else leaderboard(heading)
+    rows = [[label, *fill(label)] for label in labels] if fill else leaderboard()
     return "\n".join([*text[:top], *(f"| {' | '.join(row)} |" for row in rows), *text[end:]])
 
 
