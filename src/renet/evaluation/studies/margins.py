@@ -229,7 +229,7 @@ class MarginsStudy(WalkingStudy):
             panels[ground.replace("_", " ")] = cells
         share = f"{100 * ALLOWED_LOSS:.0f} %"
         title = f"How far a robot may be off before {share} fail; even: the sweep's end"
-        return {"margins.png": figures.colour_tables(panels, title, width=0.95)}
+        return {"margins.png": figures.colour_tables(panels, title, width=1.2, stacked=True)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Margins of each axis, by ground and mode."""
