@@ -18,10 +18,12 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from renet.deploy.catalogue import Ros2Cfg
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.tick import MODES
+from renet.deploy.robots.base import heading
 from renet.deploy.ros2 import TOPIC, Ros2Teleop, TwistStamped, domain_of
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
+from tests.driven import driven_bundle
 
 from .fakes import until
 from .robots.dds import free_domain
@@ -211,11 +213,14 @@ def test_topics(name):
         assert not TOPIC.fullmatch(wrong)
 
 
-def test_the_whole_program_walks_turns_and_stands_in_silence(node, topic, tmp_path):
-    """On stairs, with the shipped bundle; backward, which it cannot, is refused and told."""
+def deploy(node: Node, topic: str, out: Path, *options: str, phases: list[tuple]) -> tuple:
+    """`renet deploy` on stairs, sent a velocity [v_x, v_y, ω_z] for each phase's seconds.
+
+    Returns what it printed, and the ticks of its recording that walk.
+    """
     command = [sys.executable, "-m", "renet", "deploy", "--robot=mujoco", "--camera=sim"]
     command += ["--terrain=stairs", "--teleop=ros2", f"--topic={topic}", "--ros-interface=lo"]
-    command += [f"--ros-domain={free_domain()}", f"--out={tmp_path}", "--seconds=12"]
+    command += [f"--ros-domain={free_domain()}", f"--out={out}", *options]
     # A busy computer must not end the walk.
     command += ["--safety.max-gap=9", "--safety.max-state-age=9", "--safety.max-late=999"]
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "text": True}
@@ -225,27 +230,61 @@ def test_the_whole_program_walks_turns_and_stands_in_silence(node, topic, tmp_pa
         lines.append(line)
         if "walking: stood up" in line:
             break
-    for _ in range(40):
-        node.send(0.6)
-        time.sleep(0.1)
-    for _ in range(20):
-        node.send(0.5, 0.0, 0.8)
-        time.sleep(0.1)
-    for _ in range(5):
-        node.send(-0.4)
-        time.sleep(0.1)
+    for seconds, velocity in phases:
+        for _ in range(round(10 * seconds)):
+            node.send(*velocity)
+            time.sleep(0.1)
     lines += run.stdout
     assert run.wait() == 0
-    told = "".join(lines)
+    ticks = read_recording(out / "recording.mcap").ticks
+    return "".join(lines), ticks[ticks["mode"] == MODES.index(Mode.WALKING)]
+
+
+def asked_for(ticks: np.ndarray, velocity: tuple[float, float, float]) -> np.ndarray:
+    """The ticks at which this was the operator's velocity."""
+    asked = ticks[["forward", "left", "turn_rate"]]
+    return ticks[asked == np.array(velocity, [(name, "f8") for name in asked.dtype.names])]
+
+
+def forward_speed(ticks: np.ndarray) -> float:
+    """Mean speed along the robot's own heading, m/s, from its true positions."""
+    moved = np.diff(ticks["base_position"][:, :2], axis=0)
+    yaw = np.array([heading(quaternion) for quaternion in ticks["quaternion"][1:]])
+    ahead = moved[:, 0] * np.cos(yaw) + moved[:, 1] * np.sin(yaw)
+    return ahead.sum() / np.ptp(ticks["now"])
+
+
+def test_the_whole_program_walks_turns_and_stands_in_silence(node, topic, tmp_path):
+    """On stairs, with the shipped bundle; backward, which it cannot, is refused and told."""
+    ahead, left, back = (0.6, 0.0, 0.0), (0.5, 0.0, 0.8), (-0.4, 0.0, 0.0)
+    phases = [(4.0, ahead), (2.0, left), (0.5, back)]
+    told, walking = deploy(node, topic, tmp_path, "--seconds=12", phases=phases)
     for words in ("no message on", "refused: this policy cannot walk backward or sideways"):
         assert words in told
-    ticks = read_recording(tmp_path / "recording.mcap").ticks
-    walking = ticks[ticks["mode"] == MODES.index(Mode.WALKING)]
-    asked = walking[["forward", "left", "turn_rate"]]
-    for velocity in ((0.6, 0.0, 0.0), (0.5, 0.0, 0.8), (-0.4, 0.0, 0.0)):
-        assert (asked == np.array(velocity, [(n, "f8") for n in asked.dtype.names])).any()
+    for velocity in (ahead, left, back):
+        assert asked_for(walking, velocity).size
     assert walking["told"][walking["turn_rate"] > 0.0, 1].max() > 0.1, "it is told to turn left"
     assert (walking["told"][walking["forward"] < 0.0, 0] == 0.0).all()
     silent = np.flatnonzero(walking["forward"] != 0.0)[-1] + 1
     assert (walking["told"][silent:, 0] == 0.0).all()
     assert np.hypot(*walking["base_position"][silent - 1, :2]) > 0.5, "it walked"
+
+
+def test_a_policy_that_can_be_driven_turns_on_the_spot_and_walks_back(node, topic, tmp_path):
+    """Forward, stop, round and back, as a separate process publishes it; in silence it stands."""
+    pytest.importorskip("mjlab", reason="needs renet-locomotion[train]")
+    ahead, stop, spot, back = (0.6, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (-0.6, 0.0, 0.0)
+    phases = [(1.5, ahead), (1.0, stop), (3.0, spot), (3.0, back)]
+    options = [f"--bundle={driven_bundle(tmp_path)}", "--mode=camera", "--seconds=14"]
+    told, walking = deploy(node, topic, tmp_path / "walk", *options, phases=phases)
+    assert "refused" not in told
+    for velocity in (ahead, spot, back):
+        # The first half second is for changing from one to the next.
+        ticks = asked_for(walking, velocity)[25:]
+        # A robot that is not told to turn is led back to its heading.
+        assert np.allclose(ticks["told"], velocity, atol=0.2)
+        walked = (forward_speed(ticks), 0.0, ticks["angular_velocity"][:, 2].mean())
+        assert walked == pytest.approx(velocity, abs=0.25)
+    silent = np.flatnonzero(walking["forward"] != 0.0)[-1] + 1
+    still = walking["base_position"][silent + 50 :, :2]
+    assert np.ptp(still, axis=0).max() < 0.1, "it stands"

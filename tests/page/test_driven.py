@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from renet.page.writer import WEB, PageCfg, write_page
+from tests.driven import driven_bundle
 from tests.page.conftest import run_node
 
-CHECKPOINT = Path(__file__).parents[2] / "benchmarks" / "results" / "driving" / "checkpoint"
 COMMANDS = {
     "ahead": (0.6, 0.0, 0.0),
     "back": (-0.6, 0.0, 0.0),
@@ -21,11 +21,8 @@ COMMANDS = {
 @pytest.fixture(scope="module")
 def driven_page(node_page: Path, tmp_path_factory) -> Path:
     pytest.importorskip("mjlab")
-    from renet.training.export import ExportCfg, export
-
     folder = tmp_path_factory.mktemp("driven")
-    bundle = export(ExportCfg(checkpoint=CHECKPOINT, out=folder / "go1-driven"))
-    return write_page(PageCfg((bundle,), folder / "page"))
+    return write_page(PageCfg((driven_bundle(folder),), folder / "page"))
 
 
 def test_it_walks_back_and_sideways_and_turns(driven_page):
