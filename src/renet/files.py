@@ -111,7 +111,7 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
 def _check_regular(status: os.stat_result, path: Path, limit: int, what: str) -> None:
     """Raise RenetError unless a file is regular and has at most `limit` bytes."""
     if stat.S_ISDIR(status.st_mode):
-        raise RenetError(f"the {what} {path} is a folder and not a regular file: give a file")
+        raise RenetError(f"the {what} {path} is not a regular file but a folder: give a file")
     if not stat.S_ISREG(status.st_mode):
         raise RenetError(f"the {what} {path} is not a regular file: give one")
     if status.st_size > limit:
