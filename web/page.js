@@ -32,14 +32,17 @@ const PUT_BACK = 3;
 const NOTICE = 5000;
 /** Milliseconds for which a notice is shown. */
 
+const CONDUCTS = { walk: "walk on", slow: "slow down", stop: "stop" };
+/** What robots do at the end of the ground that they have seen, as the menu says it. */
+
 const $ = (selector) => document.querySelector(selector);
 
 export class Page {
   /** @param {object} runtime of load.js. @param {object} scene of link.js. */
   constructor(runtime, scene) {
     Object.assign(this, { runtime, scene });
-    this.notice = "";
-    if (scene.unknown.length) this.notify(`The link asks for ${scene.unknown.join(" and ")}: not here.`);
+    // It waits until the models have come, however long that takes.
+    this.notice = scene.unknown.length ? `The link asks for ${scene.unknown.join(" and ")}: not here.` : "";
     const { contract, manifest, bundle } = runtime;
     const { bundles, palette } = contract;
     for (const [name, { colour, ink }] of Object.entries(palette)) {
@@ -68,6 +71,9 @@ export class Page {
     this.controls = new Controls(this);
     this.addFaults(contract.faults);
     fillSelect($("#ground"), bundle.grounds, (name) => this.setGround(name));
+    const conducts = Object.keys(contract.reach.speeds).map((name) => ({ name, title: CONDUCTS[name] }));
+    fillSelect($("#unseen"), conducts, (conduct) => this.chooseConduct(conduct));
+    $("#unseen").value = scene.conduct;
     const visit = (n) => (location.search = bundleLink(bundles[n], bundles));
     fillSelect($("#bundle"), bundles.map(({ title }, n) => ({ name: n, title })), visit);
     $("#bundle").selectedIndex = bundles.indexOf(bundle);
@@ -91,6 +97,13 @@ export class Page {
   chooseMode(n, mode) {
     this.scene.modes[n] = mode;
     this.simulations[n].controller.choose(mode);
+    this.show();
+  }
+
+  /** Let both robots behave so at the end of the ground that they have seen, from now on. */
+  chooseConduct(conduct) {
+    this.scene.conduct = conduct;
+    for (const { controller } of this.simulations) controller.conduct = conduct;
     this.show();
   }
 
@@ -149,8 +162,9 @@ export class Page {
     this.resetDue = false;
     for (const simulation of this.simulations ?? []) simulation.delete();
     const seed = Math.floor(2 ** 31 * Math.random());
-    const { ground } = this.scene;
-    this.simulations = this.panels.map(({ mode }) => new Simulation(this.runtime, ground, seed, mode));
+    const { ground, conduct } = this.scene;
+    const simulate = ({ mode }) => new Simulation(this.runtime, ground, seed, mode, conduct);
+    this.simulations = this.panels.map(simulate);
     this.story = new Story(ground, this.scene.modes.slice());
     this.slowed = new Set();
     this.slowUntil = 0;

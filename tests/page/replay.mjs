@@ -13,8 +13,8 @@ const read = async (path) => new Uint8Array(await readFile(`${page}/${path}`));
 const contract = JSON.parse(await readFile(`${page}/renet-page.json`));
 const runtime = await loadRuntime(read, contract, contract.bundles[0]);
 await loadModels(runtime, read);
-const { mode, ticks } = JSON.parse(await readFile(file));
-const controller = new Controller(runtime, mode);
+const { mode, unseen, ticks } = JSON.parse(await readFile(file));
+const controller = new Controller(runtime, mode, unseen);
 
 function image(text) {
   const { buffer, byteOffset, length } = Buffer.from(text, "base64");

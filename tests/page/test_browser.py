@@ -218,8 +218,13 @@ def test_every_control_answers_to_keys(visit):
         assert f"right={mode}" in one.page.url
         # The left robot is in the mode switch.
         assert "remembers" not in one.page.text_content("#pitch")
+    for conduct in ("slow", "stop"):
+        one.press("u")
+        assert one.its("simulations.map((s) => s.controller.conduct)") == [conduct] * 2
+        assert f"unseen={conduct}" in one.page.url
     one.press("i")
     assert one.page.locator("#hood").is_visible()
+    assert one.page.locator("#unseen").input_value() == "stop"
     one.until("renetPage.page.panels[1].curves.points.length > 3")
     one.press("i")
     assert one.page.locator("#hood").is_hidden()
@@ -227,6 +232,7 @@ def test_every_control_answers_to_keys(visit):
     one.until("renetPage.page.now < 1 && !renetPage.page.resetDue")
     assert one.its("scene.ground.name") == "gap"
     assert one.its("simulations[1].controller.mode") == "blind"
+    assert one.its("simulations[1].controller.conduct") == "stop"
     before = one.its("simulations[0].world.data.qvel[1]")
     one.press("p")
     one.until(f"Math.abs(renetPage.page.simulations[0].world.data.qvel[1] - {before}) > 0.1")
@@ -481,9 +487,10 @@ def test_a_robot_that_lies_in_a_gap_is_seen(visit):
 
 
 def test_a_wrong_link_is_corrected_and_everything_can_be_reached_with_tab(visit):
-    one = visit("?ground=moon&fault=none&severity=9").load("renetPage.stats.first")
+    one = visit("?ground=moon&fault=none&severity=9&unseen=fly").load("renetPage.stats.first")
     one.until("document.querySelector('#message').textContent.includes('moon')")
     assert one.its("scene.severity") == 5
+    assert one.its("scene.conduct") == "walk"
     assert one.its("scene.ground.name") == one.its("runtime.bundle.opening.ground")
     one.page.click("#more")
     fields = one.ask(

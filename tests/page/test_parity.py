@@ -18,7 +18,7 @@ from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCommand, Velocity
 from renet.faults import parse_fault
-from renet.interface import proprioception_slices
+from renet.interface import Unseen, proprioception_slices
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
@@ -33,6 +33,7 @@ def record(
     mode: str,
     steer: Callable[[float], Velocity],
     walker: Bundle | None = None,
+    unseen: Unseen = "walk",
 ) -> tuple[list, list]:
     """Walk for 7.5 s; what the controller was given and what it decided, tick by tick.
 
@@ -45,7 +46,7 @@ def record(
     camera = FaultyCamera(sensor, [parse_fault(fault)], robot.now, 5)
     # A robot that obeys another does not follow.
     safety = SafetyCfg() if walker is None else SafetyCfg(least_torque=0.0)
-    controller = Controller(bundle, safety, mode=mode)
+    controller = Controller(bundle, safety, mode=mode, unseen=unseen)
     walking = Controller(walker, mode=mode) if walker else None
     camera.start()
     due, shown, given, decided = robot.now(), None, [], []
@@ -115,6 +116,17 @@ def test_controller_decides_as_the_runtime(memory_page, tmp_path, terrain, fault
     compare(memory_page, tmp_path, mode, given, decided)
 
 
+@pytest.mark.parametrize(("unseen", "speed"), [("slow", 0.3), ("stop", 0.0)])
+def test_so_it_does_at_the_end_of_the_ground_seen(memory_page, tmp_path, unseen, speed):
+    bundle = Bundle.load(memory_page / "bundles" / "0")
+    given, decided = record(bundle, "flat", "unplugged:2@3s", "memory", ahead, unseen=unseen)
+    compare(memory_page, tmp_path, "memory", given, decided, unseen)
+    place = proprioception_slices()["command"]
+    walked = [one for one in decided if one["phase"] == "walking" and one["unseen"]]
+    slowest = min(one["observation"][place][0] for one in walked)
+    assert slowest == pytest.approx(speed, abs=1e-6), "it came to the end of the ground seen"
+
+
 def test_so_it_does_where_a_policy_is_told_a_twist(twist_page, tmp_path):
     """The weights were told headings: only what they make of the numbers counts."""
     bundle = Bundle.load(twist_page / "bundles" / "0")
@@ -145,9 +157,12 @@ def all_round(now: float) -> Velocity:
     return Velocity(-0.4, 0.0, 0.8) if now < 6.0 else Velocity(-9.0, -9.0, -9.0)
 
 
-def compare(page: Path, folder: Path, mode: str, given: list, decided: list) -> None:
+def compare(
+    page: Path, folder: Path, mode: str, given: list, decided: list, unseen: Unseen = "walk"
+) -> None:
     """Fail where the page's controller decides otherwise than the runtime's did."""
-    (folder / "sequence.json").write_text(json.dumps({"mode": mode, "ticks": given}))
+    sequence = {"mode": mode, "unseen": unseen, "ticks": given}
+    (folder / "sequence.json").write_text(json.dumps(sequence))
     replayed = run_node("replay.mjs", WEB, page, folder / "sequence.json")
     phases = [one["phase"] for one in decided]
     assert [one["phase"] for one in replayed] == phases

@@ -4,7 +4,7 @@
 import { FrameBuffer } from "./frames.js";
 import { heading, observe, projectedGravity } from "./observation.js";
 import { Policy } from "./policy.js";
-import { Reach, directionOf } from "./reach.js";
+import { Reach, directionOf, slowed } from "./reach.js";
 import { Selector } from "./selector.js";
 import { STEERINGS, STILL, limitedVelocity } from "./steering.js";
 
@@ -17,8 +17,9 @@ export class Controller {
   /**
    * @param {object} runtime manifest, contract, bundle and sessions; see load.js.
    * @param {string} mode of the pilot: one of the contract's `modes`.
+   * @param {string} conduct at the end of the ground seen: one of the contract's `reach.speeds`.
    */
-  constructor({ manifest, contract, bundle, sessions }, mode) {
+  constructor({ manifest, contract, bundle, sessions }, mode, conduct = "walk") {
     this.robot = manifest.robot;
     this.contract = contract;
     this.cfg = contract.safety;
@@ -26,6 +27,7 @@ export class Controller {
     this.told = bundle.told;
     this.steering = new STEERINGS[bundle.told](contract.steering, contract.controlDt);
     this.reach = new Reach(contract.reach, contract.controlDt);
+    this.conduct = conduct;
     this.selectors = bundle.selectors;
     this.choose(mode);
     this.frames = new FrameBuffer();
@@ -91,9 +93,9 @@ export class Controller {
 
   async walk(state, teleop, now) {
     this.asked = limitedVelocity(teleop, this.contract.steering);
-    const told = this.steering.command(this.asked, heading(state.quaternion));
+    const wished = this.steering.command(this.asked, heading(state.quaternion));
+    const told = this.heedUnseen(wished, state.angularVelocity[2]);
     this.observation = observe(state, this.robot, this.contract.proprioception, told, this.action);
-    this.noteReach(state.angularVelocity[2], told);
     this.policy.remember(this.observation);
     const fresh = this.policy.due && this.frames.take();
     if (this.policy.due) await this.look(fresh, now);
@@ -106,11 +108,16 @@ export class Controller {
     return command;
   }
 
-  /** Follow the motion since the last image; one that VP has just used is the new origin. */
-  noteReach(turnRate, told) {
+  /** The command, slowed down in front of ground that the robot has not seen, as its conduct asks. */
+  heedUnseen(command, turnRate) {
+    // Move on from the last image; one that VP has just used is the new origin.
     this.reach.move(this.policy.velocityVp, turnRate);
     if (this.policy.hasImage || this.mode !== "memory") this.reach.reset();
-    this.unseen = this.reach.ends(directionOf(told, this.told));
+    const direction = directionOf(command, this.told);
+    this.unseen = this.reach.ends(direction);
+    const limit = this.contract.reach.speeds[this.conduct];
+    if (limit === null || !this.unseen || !this.reach.canStop(direction, this.policy.heightMap)) return command;
+    return slowed(command, this.told, limit);
   }
 
   /** Whether a point of the base frame is on ground that the robot has seen, m. */

@@ -5,11 +5,13 @@
 export class Reach {
   /**
    * @param {object} contract `reach` of the contract: distance and halfWidth of an image, margin within
-   *   which ground must have been seen, all m.
+   *   which ground must have been seen, distance beyond its end at which any obstacle is over, all m;
+   *   footprint, the points of the height map under a robot and its next step, and the relief there, m,
+   *   on which it can stop.
    * @param {number} dt seconds of a control step.
    */
-  constructor({ distance, halfWidth, margin }, dt) {
-    Object.assign(this, { distance, halfWidth, margin, dt });
+  constructor({ distance, halfWidth, margin, obstacleEnd, footprint, relief }, dt) {
+    Object.assign(this, { distance, halfWidth, margin, obstacleEnd, footprint, relief, dt });
     this.reset();
   }
 
@@ -46,6 +48,18 @@ export class Reach {
     return this.ahead(direction) < this.margin;
   }
 
+  /**
+   * Whether a robot at the end of the ground seen can stop there; on an obstacle it goes on first.
+   * @param {number[]} direction as of `ahead`.
+   * @param {ArrayLike<number>} heightMap VP's map of the ground around the base, m.
+   */
+  canStop(direction, heightMap) {
+    if (!this.ends(direction)) return false;
+    if (this.ahead(direction) < -this.obstacleEnd) return true;
+    const heights = this.footprint.map((point) => heightMap[point]);
+    return Math.max(...heights) - Math.min(...heights) < this.relief;
+  }
+
   /** Whether a point of the base frame is on ground that was seen, m. */
   covers(forward, left) {
     const [x, y] = this.turned(forward, left);
@@ -68,6 +82,14 @@ export function directionOf([forward, left], told) {
   const side = told === "heading" ? 0 : left;
   const speed = Math.hypot(forward, side);
   return speed > 0 ? [forward / speed, side / speed] : [0, 0];
+}
+
+/** A command with a speed of at most `limit` m/s, in the same direction and with the same turn. */
+export function slowed(command, told, limit) {
+  const parts = told === "heading" ? 1 : 2;
+  const speed = Math.hypot(...command.slice(0, parts));
+  if (speed <= limit) return command;
+  return command.map((value, part) => (part < parts ? (value * limit) / speed : value));
 }
 
 /** Metres to a line that is `gap` away along its normal, in a direction of that cosine to it. */

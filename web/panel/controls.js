@@ -34,6 +34,7 @@ export class Controls {
       h: () => page.breakCamera(null),
       t: () => page.nextGround(),
       m: () => chooseNext(page.panels[1].select),
+      u: () => chooseNext($("#unseen")),
       i: () => page.explain(),
       "+": () => this.setSeverity(this.severity + 1),
       "=": () => this.setSeverity(this.severity + 1),

@@ -1,5 +1,5 @@
 // The scene in the page's address:
-// ?robot=go2&bundle=…&ground=gap&fault=gaussian&severity=5&left=switch&right=memory
+// ?robot=go2&bundle=…&ground=gap&fault=gaussian&severity=5&left=switch&right=memory&unseen=stop
 
 /** What an address calls a bundle's robot, "Unitree Go2": go2. */
 const nickname = ({ robot }) => robot.split(" ").at(-1).toLowerCase();
@@ -9,9 +9,9 @@ const nickname = ({ robot }) => robot.split(" ").at(-1).toLowerCase();
  * @param {string} search of the address.
  * @param {object} contract shared with the runtime.
  * @returns {object} bundle, ground, fault (null: none), severity, modes (of the left and of the
- *   right robot), and `unknown`, what makes no sense.
+ *   right robot), conduct at the end of the ground seen, and `unknown`, what makes no sense.
  */
-export function readScene(search, { bundles, faults, faults: [{ levels }], modes }) {
+export function readScene(search, { bundles, faults, faults: [{ levels }], modes, reach }) {
   const asks = new URLSearchParams(search);
   const unknown = [];
   const choose = (key, choices, fallback) => {
@@ -29,7 +29,10 @@ export function readScene(search, { bundles, faults, faults: [{ levels }], modes
   const named = modes.map((name) => ({ name }));
   const left = choose("left", named, bundle.opening.left).name;
   const right = choose("right", named, bundle.opening.right).name;
-  return { bundle, ground, fault: fault.none ? null : fault, severity, modes: [left, right], unknown };
+  const conducts = Object.keys(reach.speeds).map((name) => ({ name }));
+  const conduct = choose("unseen", conducts, conducts[0].name).name;
+  const chosen = { bundle, ground, fault: fault.none ? null : fault, severity, modes: [left, right], conduct };
+  return { ...chosen, unknown };
 }
 
 /** What leads to one of several bundles: the robot where there are others, the name among its own. */
@@ -42,7 +45,7 @@ export function bundleLink(bundle, bundles) {
 }
 
 /** The address that leads to a scene. */
-export function sceneLink({ bundle, ground, fault, severity, modes }, { bundles }) {
+export function sceneLink({ bundle, ground, fault, severity, modes, conduct }, { bundles, reach }) {
   const asks = bundleLink(bundle, bundles);
   asks.set("ground", ground.name);
   asks.set("fault", fault?.name ?? "none");
@@ -50,5 +53,6 @@ export function sceneLink({ bundle, ground, fault, severity, modes }, { bundles 
   const [left, right] = modes;
   asks.set("left", left);
   asks.set("right", right);
+  if (conduct !== Object.keys(reach.speeds)[0]) asks.set("unseen", conduct);
   return `?${asks}`;
 }

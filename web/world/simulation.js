@@ -134,11 +134,12 @@ export class Simulation {
    * @param {object} ground
    * @param {number} seed of the camera's noise and faults.
    * @param {string} mode of the pilot.
+   * @param {string} [conduct] at the end of the ground seen.
    */
-  constructor(runtime, ground, seed, mode) {
+  constructor(runtime, ground, seed, mode, conduct) {
     this.world = new World(runtime, ground);
     this.camera = new DepthCamera(this.world, runtime.manifest.camera, runtime.contract.camera, seed);
-    this.controller = new Controller(runtime, mode);
+    this.controller = new Controller(runtime, mode, conduct);
     /** Velocity of the base over the last half second. */
     this.walked = STILL;
     this.share = 1 - Math.exp(-runtime.contract.controlDt / SMOOTHING);

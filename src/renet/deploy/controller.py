@@ -37,8 +37,9 @@ LATE = "the vision thread is late or dead"
 """Reason of a tick that runs blind."""
 CONDUCTS = {"walk": "it walks on", "slow": "it slows down", "stop": "it stops"}
 """Conduct at the end of the ground that was seen, in words, by `interface.Unseen`."""
+UNSEEN_EVENT = "unseen"
 END_OF_SEEN = "the ground that it saw ends half a metre ahead"
-"""Reason of the event `unseen`."""
+"""Reason of that event."""
 A_WHILE = 0.25
 """Seconds without an image after which an event tells of it; one late frame is no news."""
 
@@ -281,7 +282,7 @@ class Controller:
     def _tell_unseen(self, unseen: bool, now: float) -> None:
         """Tell once when the robot comes to the end of the ground that it has seen."""
         if unseen and not self._unseen:
-            self.tell(now, "unseen", f"{END_OF_SEEN}: {CONDUCTS[self._conduct]}")
+            self.tell(now, UNSEEN_EVENT, f"{END_OF_SEEN}: {CONDUCTS[self._conduct]}")
         # Not again before it has seen: an operator who looks for a way turns the robot often.
         self._unseen = unseen or (self._unseen and self._state != SEES)
 

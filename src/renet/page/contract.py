@@ -22,7 +22,15 @@ from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
 from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink
 from renet.pilot import PILOT_MODES
-from renet.pilot.reach import DISTANCE, HALF_WIDTH, STOPPING_MARGIN
+from renet.pilot.reach import (
+    DISTANCE,
+    FOOTPRINT,
+    HALF_WIDTH,
+    LARGEST_RELIEF,
+    OBSTACLE_END,
+    SPEEDS,
+    STOPPING_MARGIN,
+)
 from renet.robots import Robot, find_robot
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
@@ -90,10 +98,27 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "near": NEAR,
         "covered": COVERED,
         "steady": STEADY,
-        "reach": {"distance": DISTANCE, "halfWidth": HALF_WIDTH, "margin": STOPPING_MARGIN},
+        "reach": _reach(),
         "palette": _palette(),
         "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],
         "bundles": [_bundle(bundle) | {"title": _title(bundle, bundles)} for bundle in bundles],
+    }
+
+
+def _reach() -> dict[str, Any]:
+    """Ground that an image shows, and how robots behave at its end; lengths in m, speeds in m/s."""
+    rows, columns = FOOTPRINT
+    footprint = []
+    for row in rows:
+        footprint += [row * len(HEIGHT_MAP_Y) + column for column in columns]
+    return {
+        "distance": DISTANCE,
+        "halfWidth": HALF_WIDTH,
+        "margin": STOPPING_MARGIN,
+        "obstacleEnd": OBSTACLE_END,
+        "footprint": footprint,
+        "relief": LARGEST_RELIEF,
+        "speeds": {conduct: _finite(speed) for conduct, speed in SPEEDS.items()},
     }
 
 

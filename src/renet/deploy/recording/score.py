@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 
 from renet.bundle import Bundle
+from renet.deploy.controller import UNSEEN_EVENT
 from renet.deploy.recording.objections import legend_of, objectors
 from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.replay import replay_error
@@ -371,9 +372,9 @@ def _draw_panel(axis: Any, panel: _Panel, ticks: np.ndarray, time: np.ndarray) -
 
 
 def _add_events(axis: Any, run: Recording, time: np.ndarray) -> None:
-    """Write transitions to worse states and their reasons into an axis with times [T] s."""
+    """Write changes for the worse and their reasons into an axis with times [T] s."""
     begun = run.ticks["now"][0] if len(run.ticks) else 0.0
-    whats = (REMEMBERS, BLIND, Mode.DAMPING)
+    whats = (REMEMBERS, UNSEEN_EVENT, BLIND, Mode.DAMPING)
     events = [event for event in run.events if event.what in whats]
     for row, event in enumerate(events[:_MAX_MARKS]):
         why = event.why if len(event.why) <= _MAX_REASON else f"{event.why[: _MAX_REASON - 1]}…"
