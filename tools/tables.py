@@ -20,8 +20,10 @@ from typing import Any
 import numpy as np
 
 from renet.evaluation.benchmark.leaderboard import ranking
-from renet.evaluation.benchmark.results import read_result
+from renet.evaluation.benchmark.results import read_result, rows_of_entry
+from renet.evaluation.benchmark.scores import crossed_shares
 from renet.evaluation.metrics import bootstrap_interval
+from renet.evaluation.results import column
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -126,6 +128,22 @@ def kilometre(label: str) -> list[str]:
     return [f"{total['metres'] / 1000:.2f}", *falls, *times]
 
 
+def lead_of_memory(other: str) -> list[str]:
+    """Points of memory less another mode: crossed under loud faults, lies, by strangers; falls."""
+    path = RESULTS / "benchmark" / "full" / "go1-parkour.json"
+    ours, theirs = (rows_of_entry(read_result(path), name) for name in ("memory", other))
+    gain = crossed_shares(ours) - crossed_shares(theirs)
+    falls = np.subtract(column(ours, "fell"), column(theirs, "fell"), dtype=float)
+    lie = np.array(column(ours, "lie"))
+    stranger = np.array(column(ours, "stranger"))
+    cells = []
+    for points in (gain[~lie], gain[lie], gain[stranger], falls):
+        low, high = bootstrap_interval(100 * points)
+        text = f"{100 * points.mean():+.1f} ({low:+.1f} to {high:+.1f})"
+        cells.append(text.replace("-", "−"))
+    return cells
+
+
 def loudness(mode: str) -> list[str]:
     """The cells of a mode, %: crossed under loud faults, under lies, by strangers; falls."""
     path = RESULTS / "benchmark" / "full" / "go1-parkour.json"
@@ -203,6 +221,7 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("docs/results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
     ("docs/benchmark.md", "Results"): None,
     ("docs/benchmark.md", "Loud faults and lies"): loudness,
+    ("docs/benchmark.md", "The lead of memory"): lead_of_memory,
     ("benchmarks/NOTES.md", "The quick set"): None,
     ("benchmarks/NOTES.md", "The kilometre"): kilometre,
     ("benchmarks/NOTES.md", "Where they fall"): sections,

@@ -5,6 +5,8 @@ with the differences, sensors and pushes of the fault benchmark; laps are walked
 gone a kilometre. Sections are those of the paper's figure: sparse and dense grass, stairs, a steep
 slope, gaps in a row, a platform of 48 cm, and a lens that somebody covers. A robot that falls or
 gets stuck is counted, and set down at the beginning of the next section.
+
+`--modes memory blind --robots 5 --laps 1 --film FILE.webp` films two of them, too.
 """
 
 from __future__ import annotations
@@ -20,7 +22,10 @@ import numpy as np
 import scipy
 import torch
 import tyro
+from mujoco import MjSpec
 
+import kilometre_film
+from kilometre_film import Visit
 from renet.errors import RenetError
 from renet.evaluation.benchmark.modes import ROLLOUT_MODES
 from renet.evaluation.benchmark.walking import CAMERA_NOISE, SUNK, course_env_cfg
@@ -31,12 +36,16 @@ from renet.evaluation.rollout import Trial
 from renet.evaluation.study import Part, Study, Table
 from renet.evaluation.trace import StepResult, Trace
 from renet.faults import FAULTS, Frames, ViewPerturbation
+from renet.files import remove
 from renet.interface import CONTROL_DT
 from renet.tasks.mdp.commands import goal
 from renet.terrain.course import Course, Gap, Obstacle, Plain, Platform, Ramp, Stairs
 
 RUN_UP = 1.5
-"""Ground at the beginning of each section, where robots are set down, m."""
+"""Level ground at the beginning of each section, m."""
+SET_DOWN = 0.45
+"""Distance from a section's beginning at which robots are set down, m: their hind feet stand on its
+level ground, not in the last section's gap or platform, and its camera does not fail yet."""
 LOOK_AHEAD = 3.0
 """Robots are steered at the middle line this far ahead, m."""
 SPEED = 0.6
@@ -116,6 +125,8 @@ class LapEnv:
         env.place_on([LAP] * env.num_robots)
         self._course = lap.course
         self._starts = lap.starts
+        self._landings = lap.starts[:-1] + SET_DOWN
+        """Where robots are set down in each section, m."""
         self._last = len(lap.sections) - 1
         self._origins = env.env.scene.env_origins.clone()
         self.position = np.zeros(env.num_robots)
@@ -143,7 +154,7 @@ class LapEnv:
         """Act [N, 12] for one control step, and set those down that have failed."""
         before = self.position
         following = np.minimum(self.section + 1, self._last)
-        self._set_origins(self._starts[following])
+        self._set_origins(self._landings[following])
         result = self._inner.step(action)
         position, _, height = self._place()
         self._seconds += CONTROL_DT
@@ -159,7 +170,7 @@ class LapEnv:
         for end, mask in (("fell", fell & live), ("stuck", stuck & live)):
             self.ends[rows[mask], self.section[mask]] = end
         self.finished |= failed & (self.section == self._last)
-        self.position = np.where(failed, self._starts[following], position)
+        self.position = np.where(failed, self._landings[following], position)
         self.metres += np.where(live & ~failed, np.maximum(self.position - before, 0.0), 0.0)
         reached = np.searchsorted(self._starts, self.position, side="right") - 1
         section = np.maximum(self.section, np.minimum(reached, self._last))
@@ -252,14 +263,26 @@ class KilometreStudy(Study):
     """Robots of each mode that walk a lap side by side."""
     laps: int = 3
     """Times each robot walks the lap; `quick`: once."""
+    film: Path | None = None
+    """Film of the first lap, an animated .webp: on some sections the first of the modes beside the
+    last, of the first robot of which most of these sections are crossed in the first mode alone."""
 
     name: ClassVar[str] = "kilometre"
-    selectable: ClassVar[tuple[str, ...]] = ("laps", "quick")
+    selectable: ClassVar[tuple[str, ...]] = ("laps", "quick", "film")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.laps < 1 or self.robots < 1:
             raise RenetError("laps and robots must be at least 1")
+        if self.film is not None and self.film.suffix != ".webp":
+            raise RenetError(f"the film is a .webp: give --film {self.film.stem}.webp")
+
+    def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
+        """Run the study; the first lap is walked again if it is to be filmed."""
+        if self.film is not None:
+            for part in (self.out / "parts").glob("lap_1-*.json"):
+                remove(part)
+        return super().run(evaluator)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part for each lap."""
@@ -271,6 +294,8 @@ class KilometreStudy(Study):
         lap = Lap()
         robots = list(range(self.robots)) * len(self.modes)
         cfg = course_env_cfg({LAP: lap.course}, evaluator.robot)
+        # Robots are set down exactly where they are to be.
+        cfg.events["spawn"].params["pose_range"]["x"] = (0.0, 0.0)
         seed = self.seed + 100 * number
         sim = evaluator.make_env(cfg, robots, SPEED, seed, camera_noise=CAMERA_NOISE)
         env = LapEnv(sim, lap)
@@ -280,14 +305,23 @@ class KilometreStudy(Study):
         rollout = evaluator.rollout(env, trials, seed)
         rollout.injector = SectionFaults(env, lap, robots, seed)
         over: list[np.ndarray] = []
+        sections: list[np.ndarray] = []
+        positions: list[np.ndarray] = []
 
         def watch(step: int) -> bool:
             over.append(env.finished.copy())
+            sections.append(env.section.copy())
+            positions.append(env.position.copy())
             return bool(env.finished.all())
 
         steps = round(len(lap.sections) * STUCK_AFTER / CONTROL_DT)
-        trace = rollout.run(steps, f"lap {number}", on_step=watch)
+        filmed = self.film is not None and number == 1
+        rows_filmed = range(len(trials)) if filmed else ()
+        trace = rollout.run(steps, f"lap {number}", film=rows_filmed, on_step=watch)
         walking = ~np.array(over)
+        if filmed:
+            visit = Visit(trace, np.array(sections), np.array(positions), ~walking)
+            self._write_film(sim.scene_spec, visit, lap, env.ends)
         rows = []
         for row, robot in enumerate(robots):
             mode = self.modes[row // self.robots]
@@ -297,6 +331,16 @@ class KilometreStudy(Study):
                 | _estimators(trace, walking, row)
             )
         return {"runs": rows}
+
+    def _write_film(self, spec: MjSpec, visit: Visit, lap: Lap, ends: np.ndarray) -> None:
+        """Film the first of the modes beside the last; ends: [N, sections], see `LapEnv`."""
+        assert self.film is not None
+        numbers = {section.name: number for number, section in enumerate(lap.sections)}
+        shown = ends[:, [numbers[name] for name in kilometre_film.SHOWN]]
+        robot = kilometre_film.pair(shown.reshape(len(self.modes), self.robots, -1))
+        last = (len(self.modes) - 1) * self.robots
+        robots = {self.modes[0]: robot, self.modes[-1]: last + robot}
+        kilometre_film.write(self.film, spec, visit, robots, numbers, lap.starts)
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """A row for each robot and lap; totals by mode, and ends by section."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from paper.kilometre import RUN_UP, SECTIONS, Lap, LapEnv, SectionFaults, total
+from paper.kilometre import RUN_UP, SECTIONS, SET_DOWN, Lap, LapEnv, SectionFaults, total
 from renet.evaluation.trace import StepResult
 from renet.faults import Frames
 
@@ -104,9 +104,22 @@ def test_a_fall_is_counted_where_it_happens_and_the_next_section_begins(lap):
     assert result.ended.all()
     assert lap.ends[0, 1] == "fell"
     assert lap.section == [2]
-    assert lap.position == pytest.approx(LAP.starts[2])
+    assert lap.position == pytest.approx(LAP.starts[2] + SET_DOWN)
     # Being set down is no way walked.
     assert lap.metres[0] == pytest.approx(5.0)
+
+
+def test_robots_are_set_down_on_level_ground_that_their_cameras_still_see(lap):
+    # A Go1's feet are up to 0.3 m before and behind its base.
+    feet = np.linspace(-0.3, 0.3, 13)
+    for number, start in enumerate(LAP.starts[:-1]):
+        heights = LAP.course.walking_height(start + SET_DOWN + feet)
+        assert np.ptp(heights) == 0.0
+        edges = LAP.course.edges
+        inside = (edges[:, 0] < start + SET_DOWN + 0.3) & (edges[:, 1] > start + SET_DOWN - 0.3)
+        assert not inside.any(), SECTIONS[number].name
+    go(lap, LAP.starts[-2] - 0.1, fell=True)
+    assert not SectionFaults(lap, LAP, [0], seed=1).at_work(0).any()
 
 
 def test_a_body_in_a_gap_has_fallen_and_is_set_down(lap):

@@ -79,7 +79,7 @@ def test_a_film_whose_encoder_is_ended_says_why_there_is_none(
             yield np.zeros((64, 64, 3), np.uint8)
 
     monkeypatch.setattr(subprocess, "Popen", Recorded)
-    monkeypatch.setattr(video, "_pictures", pictures)
+    monkeypatch.setattr(video, "pictures", pictures)
     with pytest.raises(error, match=words) as ended:
         video.film(tmp_path / "film.mp4", mujoco.MjSpec(), Trace.empty(1, 1), {}, "")
     assert "Error writing" not in str(ended.value)

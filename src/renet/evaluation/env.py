@@ -31,6 +31,7 @@ from renet.interface import (
     Told,
 )
 from renet.robots import Robot
+from renet.robots.model import FEET
 from renet.sim.depth.camera import CameraPerturbation, DepthCamera
 from renet.sim.native.engine import NativeSimulation
 from renet.tasks import RenetEnv, RenetEnvCfg, env_cfg, make_env, mdp
@@ -45,7 +46,7 @@ from renet.tasks.mdp.commands import (
 from renet.tasks.mdp.rewards import collision, joint_energy
 from renet.tasks.motor_models import NetworkActuator
 from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
-from renet.tasks.sensors import DEPTH_CAMERA
+from renet.tasks.sensors import DEPTH_CAMERA, FEET_CONTACT
 from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain, tile_row
 
 _NEVER = 1e9
@@ -251,6 +252,13 @@ class SimEnv:
         # Distances count from the next start.
         self._start[ended] = self._position()[ended]
         return self._readings(observation, fell, ended)
+
+    def feet_contact(self) -> np.ndarray:
+        """Feet that touch the ground, [N, 4] bool, in the order of `interface.LEGS`."""
+        # The sensor has them in the model's order, which is another one in a Go2.
+        names = self.env.scene[FEET_CONTACT].primary_names
+        order = [names.index(foot) for foot in FEET]
+        return mdp.feet_contact(self.env).numpy()[:, order] > 0.0
 
     def retire(self, mask: np.ndarray) -> None:
         """Stop simulating the masked robots, [N] bool, until the next reset.

@@ -8,6 +8,7 @@ import io
 import json
 import math
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -189,9 +190,10 @@ def _escape(value: object) -> str:
     """A value as one line of Markdown in which nothing is markup."""
     # Names of runs and files come from users.
     line = printable(str(value))
-    for character in "\\`*_[]<>|!":
+    for character in "\\`*_[]<>|!&~":
         line = line.replace(character, f"\\{character}")
-    return line
+    # Sites make links of bare addresses.
+    return re.sub(r"(?i)(?<=:)(?=//)|(?<=www)(?=\.)", r"\\", line)
 
 
 def write_summary(

@@ -248,15 +248,16 @@ class Study:
         for name in chain(*groups):
             make(name)
 
-    def main(self) -> None:
+    def main(self) -> str | None:
         """Run the study and print its tables, or the number of missing parts after a shard."""
         try:
             summary = self.run()
         except MissingParts as missing:
             print(missing)
-            return
+            return None
         for title, header, rows in self.tables(summary):
             show(title, header, rows)
+        return None
 
 
 @dataclass(frozen=True)

@@ -70,9 +70,9 @@ def film(
         steps: control steps of the pictures; by default the whole run in real time.
         goal: distance from the start at which a robot has crossed, m.
     """
-    pictures = _pictures(spec, trace, titles, fault, steps, goal)
+    shown = pictures(spec, trace, titles, fault, steps, goal)
     try:
-        video = mediapy.compress_video(pictures, fps=_FPS, crf=26)
+        video = mediapy.compress_video(shown, fps=_FPS, crf=26)
     # A pipe to an ffmpeg that has ended is broken.
     except (RuntimeError, BrokenPipeError) as error:
         if isinstance(error.__context__, KeyboardInterrupt):
@@ -89,13 +89,13 @@ def _reason(error: Exception) -> str:
     return text.splitlines()[0] if text else "ffmpeg ended before the film did"
 
 
-def _pictures(
+def pictures(
     spec: mujoco.MjSpec,
     trace: Trace,
     titles: Mapping[int, str],
     fault: str,
-    steps: Sequence[int],
-    goal: float,
+    steps: Sequence[int] = (),
+    goal: float = np.inf,
 ) -> Iterator[np.ndarray]:
     """Pictures of a film, [height, width, 3] uint8 each, with a progress bar; see `film`."""
     assert trace.film is not None

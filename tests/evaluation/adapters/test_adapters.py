@@ -21,7 +21,7 @@ class Recorder:
         self.seen = []
         self.resets = []
 
-    def run(self, *inputs, robot=0):
+    def run(self, *inputs, robot=0, method="forward"):
         self.seen.append(inputs)
         return [np.repeat(self.answer, len(inputs[0]), axis=0)]
 
@@ -41,6 +41,7 @@ def senses(joints, count=2):
         joint_velocity=repeated([2.0, *[0.0] * 11]),
         depth=np.full((count, 48, 64), 2.0, np.float32),
         velocity=repeated((0.3, 0.0, 0.0)),
+        feet_contact=np.ones((count, 4), bool),
     )
 
 

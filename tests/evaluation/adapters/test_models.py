@@ -52,7 +52,7 @@ def test_onnx_runs(onnx_file):
 
 
 def test_torchscript_remembers_each_robot(torch_file):
-    model = open_model(torch_file, num_robots=2)
+    model = open_model(torch_file)
     one = np.ones((1, 3))
     model.run(one, robot=0)
     total, given = model.run(one, robot=0)
@@ -66,6 +66,28 @@ def test_torchscript_remembers_each_robot(torch_file):
 def test_too_few_inputs_are_told(onnx_file):
     with pytest.raises(RenetError, match=r"has the inputs observation, this adapter gives 2"):
         open_model(onnx_file).run(np.ones((1, 3)), np.ones((1, 3)))
+
+
+@pytest.mark.parametrize("kind", ["onnx_file", "torch_file"])
+def test_a_method_that_is_not_there_is_told(kind, request):
+    model = open_model(request.getfixturevalue(kind))
+    with pytest.raises(RenetError, match="has no method encode, which this adapter needs"):
+        model.run(np.ones((1, 3)), method="encode")
+
+
+def test_other_methods_of_torchscript_run(tmp_path):
+    class Two(torch.nn.Module):
+        def forward(self, x):
+            return x
+
+        def encode(self, x):
+            return 2 * x
+
+    one = torch.ones(1, 3)
+    torch.jit.trace_module(Two(), {"forward": one, "encode": one}).save(tmp_path / "two.pt")
+    model = open_model(tmp_path / "two.pt")
+    np.testing.assert_array_equal(model.run(one.numpy(), method="encode")[0], 2 * one)
+    np.testing.assert_array_equal(model.run(one.numpy())[0], one)
 
 
 @pytest.mark.parametrize("kind", ["onnx_file", "torch_file"])

@@ -1,8 +1,11 @@
 """The leaderboard: order, intervals, and names that strangers chose."""
 
+import html
 import json
+import re
 
 import pytest
+from markdown_it import MarkdownIt
 
 from renet.errors import RenetError
 from renet.evaluation.benchmark import leaderboard
@@ -39,14 +42,35 @@ def test_different_episodes_are_not_compared():
         leaderboard.ranking([result(GOOD), result([2] * 200, episodes="full")])
 
 
+HOSTILE = (
+    "[x](javascript:1)|<script>alert(1)</script>`a`*b*~~c~~&lt;https://x.y\n# top\r\x1b[31m\u202e"
+)
+"""A link, a cell's end, HTML, code, emphasis, an entity, an address, lines, colour, direction."""
+
+
 def test_names_from_files_are_text(tmp_path, capsys):
-    name = "[x](javascript:1)|<b>\x1b[31m"
-    file = write(tmp_path / "a.json", result(GOOD, name))
+    content = result(GOOD, HOSTILE, entry=HOSTILE[:60])
+    content["policy"]["robot"] = HOSTILE
+    for row in content["rows"]:
+        row["family"] = HOSTILE
+    file = write(tmp_path / "a.json", content)
     out = leaderboard.make_leaderboard(leaderboard.LeaderboardCfg((file,), tmp_path / "out.md"))
+    shown = capsys.readouterr().out
     text = out.read_text()
-    assert "\\[x\\](javascript:1)\\|\\<b\\>" in text
-    assert "\x1b[31m" not in text
-    assert "\x1b[31m" not in capsys.readouterr().out
+    for control in ("\x1b", "\r", "\u202e"):
+        assert control not in shown
+        assert control not in text
+    # Sites make a link of a bare address.
+    assert "://" not in text
+    # As a site shows the Markdown: as many cells as ever, and every name as it was written.
+    page = MarkdownIt("commonmark").enable(["table", "strikethrough"]).render(text)
+    assert not re.findall(r"<(?!/?(?:h2|table|thead|tbody|tr|th|td)\b)", page)
+    widths = {len(re.findall("<t[hd]", line)) for line in page.split("<tr>")[1:4:2]}
+    plain = html.unescape(page)
+    assert widths == {8, 9}
+    name = HOSTILE.translate(dict.fromkeys(map(ord, "\n\r\x1b\u202e"), "\ufffd"))
+    for place in (f"<td>{name}</td>", f"it: {name}, {name[:60]}"):
+        assert place in plain
 
 
 def test_every_line_of_the_markdown_has_all_cells(tmp_path):

@@ -34,6 +34,7 @@ def changed(**others):
         (changed(episodes="full"), "memory lacks episodes"),
         (changed(scores={"memory": {}, "blind": {}}), "blind lacks episodes"),
         (changed(rows=[{"entry": "memory"}]), "is a required property"),
+        (result([3] + [2] * 19), "more obstacles crossed than there are"),
         (changed(policy={"name": 1, "method": "", "robot": "", "sha256": "a"}), "policy"),
     ],
 )

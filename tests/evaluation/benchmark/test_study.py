@@ -137,6 +137,12 @@ def test_a_true_result_holds(study, claimed):
     assert "20 of 20 walks end as the file says" in verification.verify(study, claimed)
 
 
+def test_the_verdict_is_the_commands_last_line(study, claimed, tmp_path):
+    verifying = replace(study, verify=claimed, out=tmp_path / "unused")
+    assert "walks end as the file says" in verifying.main()
+    assert not verifying.out.exists()
+
+
 def test_a_polished_result_does_not_hold(study, claimed):
     content = json.loads(claimed.read_text())
     for line in content["rows"]:

@@ -37,6 +37,9 @@ class Senses:
     velocity: np.ndarray
     """[N, 3] m/s, base frame: the simulator's true velocity, which no robot measures. Empty unless
     the adapter's `needs_velocity` is true."""
+    feet_contact: np.ndarray
+    """[N, 4] bool: feet that touch the ground, in the order of `renet.interface.LEGS`, as feet with
+    sensors tell. Empty unless the adapter's `needs_feet_contact` is true."""
 
 
 class Adapter:
@@ -56,6 +59,8 @@ class Adapter:
     """True if the policy reads depth images."""
     needs_velocity: ClassVar[bool] = False
     """True if the policy reads the base's true velocity; `Senses.velocity` is empty otherwise."""
+    needs_feet_contact: ClassVar[bool] = False
+    """True if the policy reads its feet's contacts; `Senses.feet_contact` is empty otherwise."""
 
     def __init__(self, model: Model, num_robots: int) -> None:
         """Prepare to drive N robots.

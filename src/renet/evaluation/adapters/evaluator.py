@@ -30,7 +30,14 @@ from renet.interface import (
 )
 from renet.robots import Robot
 
-ADAPTERS = ("onnx-depth", "playground", "himloco", "robogauge", "robot-lab")
+ADAPTERS = (
+    "onnx-depth",
+    "extreme-parkour",
+    "playground",
+    "himloco",
+    "robogauge",
+    "robot-lab",
+)
 """Adapters that come with renet, each a module of this package."""
 _SLICES = proprioception_slices()
 """Place of each term in the proprioception, by its name."""
@@ -120,6 +127,7 @@ class AdaptedPolicy:
         told: str,
         default_position: np.ndarray,
         velocity: Callable[[], np.ndarray],
+        feet_contact: Callable[[], np.ndarray],
     ) -> None:
         """Wrap an adapter.
 
@@ -129,12 +137,14 @@ class AdaptedPolicy:
             told: form of the bundle's commands, see `interface.TOLD`.
             default_position: default joint positions, [12] rad.
             velocity: returns the base's true velocity, [N, 3] m/s.
+            feet_contact: returns the feet on the ground, [N, 4] bool.
         """
         self._adapter = adapter
         self._robot = robot
         self._told = told
         self._default = default_position
         self._velocity = velocity
+        self._feet_contact = feet_contact
         self.anomaly_score = np.zeros(adapter.num_robots)
 
     def reset(self, mask: np.ndarray | None = None) -> None:
@@ -172,6 +182,7 @@ class AdaptedPolicy:
             joint_velocity=reading["joint_velocity"],
             depth=depth * DEPTH_RANGE,
             velocity=self._velocity(),
+            feet_contact=self._feet_contact(),
         )
         adapter = self._adapter
         with _told(adapter.model, type(adapter)):
@@ -226,6 +237,7 @@ class AdaptedEvaluator(Evaluator):
             joint_velocity=zero,
             depth=np.full((1, 48, 64), DEPTH_RANGE, np.float32),
             velocity=still,
+            feet_contact=np.ones((1, 4), bool),
         )
         adapter = self._make_adapter(1)
         with _told(adapter.model, self.adapter):
@@ -235,7 +247,7 @@ class AdaptedEvaluator(Evaluator):
 
     def _make_adapter(self, num_robots: int) -> Adapter:
         """Open the model for N robots; raises RenetError if it or the adapter cannot be used."""
-        model = open_model(self._path, num_robots)
+        model = open_model(self._path)
         with _told(model, self.adapter):
             return self.adapter(model, num_robots)
 
@@ -254,13 +266,20 @@ class AdaptedEvaluator(Evaluator):
         """Make the policy for N robots of the newest environment."""
         adapter = self._make_adapter(num_robots)
         told = self.bundle.manifest.told
-        return AdaptedPolicy(adapter, self.robot, told, self._default, self._velocity)
+        truths = self._velocity, self._feet_contact
+        return AdaptedPolicy(adapter, self.robot, told, self._default, *truths)
 
     def _velocity(self) -> np.ndarray:
         """True velocity of the newest environment's robots, [N, 3] m/s; empty if not needed."""
         if not self.adapter.needs_velocity:
             return np.zeros((0, 3))
         return self.env.observation["velocity"].numpy()
+
+    def _feet_contact(self) -> np.ndarray:
+        """Feet of the newest environment's robots on the ground, [N, 4] bool; empty if unneeded."""
+        if not self.adapter.needs_feet_contact:
+            return np.zeros((0, 4), bool)
+        return self.env.feet_contact()
 
     def provenance(self, seed: int) -> Provenance:
         """The provenance of numbers, with the name and the hash of the policy's file."""

@@ -26,8 +26,11 @@ class Model(Protocol):
     shapes: str
     """Shapes of the newest inputs and outputs, for error messages; empty before the first."""
 
-    def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
-        """Evaluate the model on inputs in its own order, with the state of one robot."""
+    def run(self, *inputs: np.ndarray, robot: int = 0, method: str = "forward") -> list[np.ndarray]:
+        """Evaluate the model on inputs in its own order, with the state of one robot.
+
+        A TorchScript module may have methods beside `forward`; raises RenetError if it lacks one.
+        """
         ...
 
     def reset(self, robot: int) -> None:
@@ -35,12 +38,11 @@ class Model(Protocol):
         ...
 
 
-def open_model(path: Path, num_robots: int = 1) -> Model:
+def open_model(path: Path) -> Model:
     """Open a model file; raises RenetError if it is missing, damaged or of another kind.
 
     Args:
         path: `.onnx`, or `.pt` of `torch.jit.save`.
-        num_robots: number of robots whose states the model may have to keep.
     """
     if not path.exists():
         raise RenetError(f"the policy {path} does not exist")
@@ -49,7 +51,7 @@ def open_model(path: Path, num_robots: int = 1) -> Model:
     if path.suffix == ".onnx":
         return OnnxModel(path)
     if path.suffix in (".pt", ".pth", ".jit"):
-        return TorchScriptModel(path, num_robots)
+        return TorchScriptModel(path)
     raise RenetError(f"{path} is neither .onnx nor TorchScript (.pt): export the policy to one")
 
 
@@ -84,8 +86,10 @@ class OnnxModel:
             raise RenetError(f"{path} is no ONNX model: {_first_line(error)}") from None
         self._inputs = [node.name for node in self._session.get_inputs()]
 
-    def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
+    def run(self, *inputs: np.ndarray, robot: int = 0, method: str = "forward") -> list[np.ndarray]:
         """Evaluate the model on inputs in its own order."""
+        if method != "forward":
+            raise _method_error(self.name, method)
         if len(inputs) != len(self._inputs):
             raise RenetError(
                 f"{self.name} has the inputs {', '.join(map(printable, self._inputs))}, this"
@@ -106,42 +110,57 @@ class OnnxModel:
 
 
 class TorchScriptModel:
-    """A TorchScript module, with one copy for each robot whose state it keeps."""
+    """A TorchScript module, with one copy for each robot whose state it keeps.
 
-    def __init__(self, path: Path, num_robots: int) -> None:
+    A copy is loaded when its robot first needs it: a module without a state is loaded once.
+    """
+
+    def __init__(self, path: Path) -> None:
         import torch
 
         self.name = path.name
         self.shapes = ""
         self._torch = torch
-        self._modules: list[Any] = []
-        """The copies, [N]."""
-        try:
-            with warnings.catch_warnings(action="ignore"):
-                for _ in range(num_robots):
-                    self._modules.append(torch.jit.load(path, map_location="cpu").eval())
-        # PyTorch's own text is long, and about its internals.
-        except Exception as error:
-            raise RenetError(f"{path} is no TorchScript module: {_kind(path)}") from error
+        self._path = path
+        self._modules: dict[int, Any] = {}
+        """The copies that were needed so far, by robot."""
+        self._module(0)
 
-    def run(self, *inputs: np.ndarray, robot: int = 0) -> list[np.ndarray]:
+    def _module(self, robot: int) -> Any:
+        """The robot's copy; raises RenetError if the file is no TorchScript module."""
+        if robot not in self._modules:
+            try:
+                with warnings.catch_warnings(action="ignore"):
+                    module = self._torch.jit.load(self._path, map_location="cpu")
+            # PyTorch's own text is long, and about its internals.
+            except Exception as error:
+                path = self._path
+                raise RenetError(f"{path} is no TorchScript module: {_kind(path)}") from error
+            self._modules[robot] = module.eval()
+        return self._modules[robot]
+
+    def run(self, *inputs: np.ndarray, robot: int = 0, method: str = "forward") -> list[np.ndarray]:
         """Evaluate the robot's copy; returns all its tensors, those of nested tuples included."""
         torch = self._torch
+        function = getattr(self._module(robot), method, None)
+        if function is None:
+            raise _method_error(self.name, method)
         tensors = []
         for value in inputs:
             tensors.append(torch.from_numpy(np.ascontiguousarray(value, np.float32)))
         try:
             with torch.inference_mode():
-                outputs = self._modules[robot](*tensors)
+                outputs = function(*tensors)
         except Exception as error:
             raise _input_error(self.name, inputs, error) from None
-        arrays = [tensor.numpy() for tensor in _tensors(outputs)]
+        arrays = [tensor.detach().numpy() for tensor in _tensors(outputs)]
         self.shapes = _shapes(inputs, arrays)
         return arrays
 
     def reset(self, robot: int) -> None:
         """Call the module's own `reset`, if it has one."""
-        reset = getattr(self._modules[robot], "reset", None)
+        # A copy that was not needed yet has no state.
+        reset = getattr(self._modules.get(robot), "reset", None)
         if reset is not None:
             reset()
 
@@ -168,6 +187,14 @@ def _tensors(outputs: Any) -> list[Any]:
     for part in outputs:
         tensors += _tensors(part)
     return tensors
+
+
+def _method_error(name: str, method: str) -> RenetError:
+    """Error for a model that lacks a method of the adapter's."""
+    return RenetError(
+        f"{name} has no method {method}, which this adapter needs: make the file as"
+        " docs/benchmark.md says, or choose another --adapter"
+    )
 
 
 def _input_error(name: str, inputs: Sequence[np.ndarray], error: Exception) -> RenetError:

@@ -89,6 +89,8 @@ def read_result(path: Path) -> dict[str, Any]:
             raise RenetError(
                 printable(f"{path}: {entry} lacks episodes, or has them in another order")
             )
+    if any(row["crossed"] > row["obstacles"] for row in content["rows"]):
+        raise RenetError(printable(f"{path}: a row has more obstacles crossed than there are"))
     return content
 
 

@@ -33,8 +33,8 @@ class BenchmarkStudy(Study):
     policy: Path | None = None
     """Model of another project, .onnx or TorchScript (.pt), in place of a bundle."""
     adapter: str | None = None
-    """Adapter for its inputs and outputs: onnx-depth, playground, himloco, robogauge, robot-lab, or
-    a FILE.py of your own (docs/benchmark.md)."""
+    """Adapter for its inputs and outputs: onnx-depth, extreme-parkour, playground, himloco,
+    robogauge, robot-lab, or a FILE.py of your own (docs/benchmark.md)."""
     entries: tuple[EntryName, ...] = ()
     """Ways to use the models; by default memory, switch, camera, blind and healthy. A policy with
     an adapter walks as camera and healthy, or as blind if it reads no image."""
@@ -191,11 +191,14 @@ class BenchmarkStudy(Study):
         result = self._result(summary)
         return [ranking([result]), measures([result]), family_table(result)]
 
-    def main(self) -> None:
-        """Run the study and print its tables, or verify a result; raises RenetError if it fails."""
+    def main(self) -> str | None:
+        """Run the study and print its tables, or verify a result; raises RenetError if it fails.
+
+        Returns:
+            The verdict on a result, for the command line to print in place of the folder.
+        """
         if self.verify is None:
-            super().main()
-            return
+            return super().main()
         from renet.evaluation.benchmark.verify import verify
 
-        print(verify(self, self.verify))
+        return verify(self, self.verify)
