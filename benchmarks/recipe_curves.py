@@ -68,7 +68,7 @@ def draw(table: list[dict[str, str]]) -> None:
     labels = list(dict.fromkeys(row["run"] for row in table))
     runs = dict.fromkeys((row["run"], row["seed"]) for row in table)
     with plt.rc_context(figures.STYLE):
-        figure, axes = plt.subplots(2, 3, figsize=(10, 5), sharex=True, sharey=True)
+        figure, axes = plt.subplots(3, 2, figsize=(figures.WIDTH, 7.0), sharex=True, sharey=True)
         for axis, kind in zip(axes.flat, tiles(), strict=True):
             for label, seed in runs:
                 curve = [row for row in table if (row["run"], row["seed"]) == (label, seed)]
@@ -77,13 +77,13 @@ def draw(table: list[dict[str, str]]) -> None:
                 )
                 axis.plot(steps / 1e6, level, color=f"C{labels.index(label)}", linewidth=1)
             axis.set(title=kind.replace("_", " "), ylim=(0, 10))
-        for axis in axes[1]:
+        for axis in axes[-1]:
             axis.set_xlabel("million environment steps")
         for axis in axes[:, 0]:
             axis.set_ylabel("curriculum's level")
         lines = [plt.Line2D([], [], color=f"C{number}") for number in range(len(labels))]
-        axes[0, 0].legend(lines, labels)
-        figure.savefig(OUT.with_suffix(".png"), dpi=110)
+        figure.legend(lines, labels, loc="outside upper center")
+        OUT.with_suffix(".png").write_bytes(figures.png(figure))
 
 
 def main(runs: list[str]) -> None:

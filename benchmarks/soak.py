@@ -422,7 +422,9 @@ def by_minute(
 
 def plot(results: dict[str, Any], path: Path) -> None:
     """Memory, tick times, events and shares of the envelope, by minute."""
-    from matplotlib.figure import Figure
+    import matplotlib.pyplot as plt
+
+    from renet.evaluation import figures
 
     panels = {
         "memory, MB": ("memory_mb",),
@@ -433,20 +435,21 @@ def plot(results: dict[str, Any], path: Path) -> None:
     }
     rows = results["by_minute"]
     minutes = range(1, len(rows) + 1)
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    axes = figure.subplots(len(panels), 1, sharex=True)
-    for axis, (label, names) in zip(axes, panels.items(), strict=True):
-        most = 0.0
-        for name in names:
-            values = [row[name] for row in rows]
-            most = max(most, *values)
-            axis.plot(minutes, values, label=name)
-        axis.set(ylabel=label, ylim=(0, 1.1 * most))
-        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-    axes[-1].set_xlabel("simulated minute")
-    disturbances = sum(results["given"].values())
-    axes[0].set_title(f"{len(rows)} minutes, {disturbances:,} disturbances", loc="left")
-    figure.savefig(path, dpi=100)
+    with plt.rc_context(figures.STYLE):
+        figure, axes = plt.subplots(len(panels), 1, figsize=(figures.WIDTH, 8.0), sharex=True)
+        for axis, (label, names) in zip(axes, panels.items(), strict=True):
+            most = 0.0
+            for name in names:
+                values = [row[name] for row in rows]
+                most = max(most, *values)
+                axis.plot(minutes, values, label=name)
+            axis.set(ylabel=label, ylim=(0, 1.1 * most))
+            above = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97), "ncols": len(names)}
+            axis.legend(**above, fontsize=9)
+        axes[-1].set_xlabel("simulated minute")
+        disturbances = sum(results["given"].values())
+        figure.suptitle(f"{len(rows)} minutes, {disturbances:,} disturbances", x=0.01, ha="left")
+        path.write_bytes(figures.png(figure))
 
 
 def main(cfg: Cfg) -> None:

@@ -58,8 +58,11 @@ def test_the_right_robot_remembers_and_the_left_one_believes_and_falls(
     for outcome in (fell, crossed):
         assert outcome[-12:].all()
         assert not outcome[:30].any()
-    # Once it has fallen its picture stops.
+    assert 12 <= crossed.sum() <= 16, "it ends about a second after the right robot has crossed"
+    # Once it has fallen its picture stops, and is dim beside the other's.
     width = pictures.shape[2] // 2
+    between = pictures[fell, 120:240]
+    assert between[:, :, :width].mean() < 0.6 * between[:, :, width:].mean()
     changes = np.abs(np.diff(pictures[:, 24:-24, :width], axis=0)).mean(axis=(1, 2, 3))
     assert changes[:30].min() > 0.5
     assert changes[-5:].max() < 0.5

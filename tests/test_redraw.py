@@ -18,6 +18,16 @@ def test_a_figure_is_drawn_with_the_origin_of_its_results(tmp_path, name):
     with Image.open(tmp_path / f"{name}.png") as new, Image.open(FIGURES / f"{name}.png") as shown:
         assert new.info["Description"] == shown.info["Description"]
         assert new.info["Description"].endswith(made["command"])
+        assert new.size == shown.size
+
+
+@pytest.mark.parametrize("path", sorted(FIGURES.glob("*.png")), ids=lambda path: path.stem)
+def test_words_of_a_figure_are_legible_on_a_telephone(path):
+    if path.stem == "filter":
+        pytest.skip("of the measurements' notes, and wider")
+    with Image.open(path) as figure:
+        height_of_letters = 9 / 72 * figure.info["dpi"][0]
+        assert height_of_letters * 358 / figure.width > 7.0
 
 
 def test_intervals_follow_from_counts():

@@ -1,10 +1,14 @@
 """The documentation in a browser; RENET_SITE is the folder that sphinx-build wrote (.ci/run)."""
 
+import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
+import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from tests.browser import compare, open_browser, watch
@@ -17,6 +21,7 @@ PAGES = sorted(path.stem for path in (Path(__file__).parents[1] / "docs").glob("
 ACROSS = """[...document.querySelectorAll("article table, article pre, article img")]
   .filter((part) => part.getBoundingClientRect().right > innerWidth)
   .map((part) => part.outerHTML)"""
+Scheme = Literal["light", "dark"]
 pytestmark = pytest.mark.skipif("RENET_SITE" not in os.environ, reason="no site was built")
 
 
@@ -26,9 +31,14 @@ def browser() -> Iterator[Browser]:
         yield browser
 
 
-def visit(browser: Browser, name: str, size: dict[str, int]) -> Page:
+def visit(
+    browser: Browser,
+    name: str,
+    size: dict[str, int],
+    scheme: Scheme = "light",
+) -> Page:
     """A page whose pictures have all come, and that is no wider than its window."""
-    page = browser.new_page(viewport=size)  # type: ignore[arg-type]
+    page = browser.new_page(viewport=size, color_scheme=scheme)  # type: ignore[arg-type]
     complaints, _ = watch(page)
     page.goto((SITE / f"{name}.html").resolve().as_uri())
     page.wait_for_function("[...document.images].every((one) => one.complete)")
@@ -54,6 +64,16 @@ def test_the_first_page_begins_with_a_picture(browser: Browser, size: str) -> No
     assert box["y"] + box["height"] < SIZES[size]["height"]
     assert box["width"] > 0.6 * min(SIZES[size]["width"], 800)
     page.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_figures_are_as_dark_as_the_page(browser: Browser, scheme: Scheme) -> None:
+    for name, file in (("memory", "memory.png"), ("how_it_works", "architecture.svg")):
+        page = visit(browser, name, DESKTOP, scheme)
+        picture = page.locator(f'article img[src$="{file}"]').screenshot()
+        brightness = np.asarray(Image.open(io.BytesIO(picture)).convert("L")).mean()
+        assert brightness > 200 if scheme == "light" else brightness < 70
+        page.close()
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -96,9 +96,7 @@ def main() -> None:
         drawn, path = draw_gallery(list(FAULTS), SEED), Path(folder) / "faults.png"
         picture = Image.open(figures.save_figure(drawn, path, where))
         height = round(picture.height * WIDTH / picture.width)
-        picture.convert("RGB").resize((WIDTH, height), Image.Resampling.LANCZOS).save(
-            OUT, quality=60
-        )
+        picture.resize((WIDTH, height), Image.Resampling.LANCZOS).save(OUT, quality=60)
     print(f"{OUT}: {OUT.stat().st_size / 1e6:.2f} MB")
 
 

@@ -22,6 +22,7 @@ from renet.evaluation.results import Provenance, select
 from renet.evaluation.studies.faults import crossed_table
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
+from renet.evaluation.studies.reach import ReachStudy
 from renet.evaluation.studies.terrain import TerrainStudy
 
 ROOT = Path(__file__).parent.parent
@@ -34,6 +35,11 @@ def memory(summary: dict[str, Any]) -> Figure:
     """Robots that cross, against the seconds without an image."""
     without = tuple(summary["settings"]["without"])
     return MemoryStudy(without=without).draw(summary, {})["memory.png"]
+
+
+def reach(summary: dict[str, Any]) -> Figure:
+    """Robots that cross and robots that fall, against the distance to the gap."""
+    return ReachStudy(gap=summary["settings"]["gap"]).draw(summary, {})["reach.png"]
 
 
 def success(summary: dict[str, Any]) -> Figure:
@@ -59,6 +65,7 @@ FIGURES = {
     "go2_memory": ("go2/memory", memory),
     "margins": ("shipped/margins", margins),
     "memory": ("shipped/memory", memory),
+    "reach": ("shipped/reach", reach),
     "success": ("shipped/success", success),
 }
 """File of the results and function that draws them, by the figure's name."""

@@ -13,16 +13,16 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
-from itertools import groupby
+from itertools import groupby, takewhile
 from operator import attrgetter
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any, Union
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from renet import __version__
-from renet.errors import RenetError, install, printable, reason, unknown_name
+from renet.errors import RenetError, demand_name, install, obstacle, printable, reason, unknown_name
 
 HELP_ALL = "--help-all"
 """Option that also lists the settings of a task, for which PyTorch is loaded."""
@@ -260,7 +260,7 @@ def _run(arguments: list[str], interrupts: list[int]) -> int:
         if getattr(error, "filename", "") is None:
             raise
         named = getattr(error, "filename", None)
-        text = f"{named}: {reason(error)}" if named else reason(error)
+        text = f"{named}: {obstacle(error, Path(named))}" if named else reason(error)
         print(f"renet: {printable(text)}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, Exception) as error:
@@ -315,9 +315,9 @@ def parse(config: Any, arguments: list[str], program: str) -> Any:
     # With DisallowNone, help shows an option of default None as `PATH`, not as `{None}|PATH`.
     options = getattr(config, "tyro_flags", (tyro.conf.DisallowNone,))
     arguments = _with_positional_bundle(config, arguments)
-    return tyro.cli(
-        config, args=arguments, prog=program, config=options, **_default(config, arguments)
-    )
+    default = _default(config, arguments)
+    _demand_choices(default.get("default", config), arguments)
+    return tyro.cli(config, args=arguments, prog=program, config=options, **default)
 
 
 def _with_positional_bundle(config: Any, arguments: list[str]) -> list[str]:
@@ -332,6 +332,46 @@ def _with_positional_bundle(config: Any, arguments: list[str]) -> list[str]:
     parser.add_argument("--bundle", nargs="?")
     options, others = parser.parse_known_args(arguments)
     return arguments if options.bundle is None else [options.bundle, *others]
+
+
+def _demand_choices(config: Any, arguments: list[str]) -> None:
+    """Raise RenetError for an unknown name of an option that has a few names to choose from.
+
+    tyro would list them in a box, without the nearest one.
+
+    Args:
+        config: The command's dataclass, or an object of it with the defaults.
+        arguments: The command's arguments.
+    """
+    kinds = get_type_hints(config if isinstance(config, type) else type(config))
+    # The options of a robot and of a camera are those of the objects among the defaults.
+    for name in list(kinds):
+        part = getattr(config, name, None)
+        if is_dataclass(part):
+            kinds |= get_type_hints(type(part))
+    for name, kind in kinds.items():
+        choices = _choices(kind)
+        option = f"--{name.replace('_', '-')}"
+        for place, argument in enumerate(arguments):
+            written, equals, value = argument.partition("=")
+            if not choices or written.replace("_", "-") != option:
+                continue
+            following = takewhile(lambda word: not word.startswith("-"), arguments[place + 1 :])
+            values = [value] if equals else list(following)
+            if get_origin(kind) is not tuple:
+                # What follows a single value is no value of this option.
+                values = values[:1]
+            for value in values:
+                demand_name(option, value, choices)
+
+
+def _choices(kind: Any) -> tuple[str, ...]:
+    """Return the names that a type allows, alone or in a tuple; empty if it has other values."""
+    parts = [part for part in get_args(kind) if part not in (type(None), ...)]
+    if get_origin(kind) is Literal:
+        return tuple(parts) if all(isinstance(name, str) for name in parts) else ()
+    # A tuple of names, or names or None.
+    return _choices(parts[0]) if len(parts) == 1 else ()
 
 
 def _default(config: Any, arguments: list[str]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import csv
 from contextlib import suppress
 from pathlib import Path
 
-from renet.errors import RenetError, reason
+from renet.errors import RenetError, obstacle
 
 CURVES = "curves.csv"
 """Name of the file in a run's folder."""
@@ -34,5 +34,5 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
                     curves.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
     except (OSError, ValueError) as error:
         # A null byte in the path is a ValueError.
-        raise RenetError(f"cannot read the curves {file}: {reason(error)}") from error
+        raise RenetError(f"cannot read the curves {file}: {obstacle(error, file)}") from error
     return curves

@@ -1,8 +1,11 @@
 """Exception for errors that a user can correct, and its messages."""
 
+import errno
+import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from difflib import get_close_matches
+from pathlib import Path
 
 
 class RenetError(Exception):
@@ -44,6 +47,52 @@ def collected(problems: list[str]) -> Iterator[None]:
 def reason(error: Exception) -> str:
     """Return an error's message, without the number and path that the system's errors contain."""
     return getattr(error, "strerror", None) or str(error)
+
+
+def obstacle(error: Exception, path: Path) -> str:
+    """Return the reason why a path cannot be read or written, and the way out."""
+    return f"{reason(error)}: {_way_out(error, path)}"
+
+
+def _way_out(error: Exception, path: Path) -> str:
+    """Return the instruction for an error of the system, or of a path that cannot exist."""
+    match getattr(error, "errno", None):
+        case errno.ENOENT:
+            return _nearest_path(path)
+        case errno.EEXIST | errno.ENOTDIR:
+            return _file_on_the_way(path)
+        case errno.EISDIR:
+            return "give a file, not a folder"
+        case errno.EACCES | errno.EPERM | errno.EROFS:
+            return "change its permissions, or give another path"
+        case errno.ENOSPC | errno.EDQUOT:
+            return "free the disk, or give another path"
+        case errno.ENAMETOOLONG:
+            return "give a shorter path"
+    return "give another path"
+
+
+def _nearest_path(path: Path) -> str:
+    """Return the question whether a path that exists, and is named like a missing one, is meant."""
+    for missing in reversed((path, *path.parents)):
+        if not os.path.lexists(missing):
+            siblings: list[str] = []
+            with suppress(OSError):
+                siblings = [sibling.name for sibling in missing.parent.iterdir()]
+            nearest = get_close_matches(missing.name, siblings, n=1, cutoff=0.7)
+            if nearest:
+                return f"did you mean {missing.with_name(nearest[0])}?"
+            return "give the path of one that exists"
+    return "give the path of one that exists"
+
+
+def _file_on_the_way(path: Path) -> str:
+    """Return the instruction for a path on which a file is where a folder should be."""
+    for part in (path, *path.parents):
+        # Unlike a path's own methods, these raise no error of the system.
+        if os.path.exists(part) and not os.path.isdir(part):
+            return f"{part} is a file; give another path"
+    return "give another path"
 
 
 def printable(text: str) -> str:

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO
 
-from renet.errors import RenetError, reason
+from renet.errors import RenetError, obstacle
 
 MEGABYTE = 1_000_000
 MAX_JSON = 4 * MEGABYTE
@@ -42,7 +42,7 @@ def read_bytes(path: Path, limit: int, what: str = "file") -> bytes:
             return file.read(limit)
     except (OSError, ValueError) as error:
         # A null byte in the path is a ValueError.
-        raise RenetError(f"cannot read the {what} {path}: {reason(error)}") from error
+        raise RenetError(f"cannot read the {what} {path}: {obstacle(error, path)}") from error
 
 
 def parse_json(data: bytes | str, what: str) -> Any:
@@ -104,14 +104,16 @@ def require_regular(path: Path, limit: int, what: str = "file") -> Path:
     try:
         _check_regular(path.stat(), path, limit, what)
     except (OSError, ValueError) as error:
-        raise RenetError(f"cannot read the {what} {path}: {reason(error)}") from error
+        raise RenetError(f"cannot read the {what} {path}: {obstacle(error, path)}") from error
     return path
 
 
 def _check_regular(status: os.stat_result, path: Path, limit: int, what: str) -> None:
     """Raise RenetError unless a file is regular and has at most `limit` bytes."""
+    if stat.S_ISDIR(status.st_mode):
+        raise RenetError(f"the {what} {path} is not a regular file but a folder: give a file")
     if not stat.S_ISREG(status.st_mode):
-        raise RenetError(f"the {what} {path} is not a regular file")
+        raise RenetError(f"the {what} {path} is not a regular file: give one")
     if status.st_size > limit:
         raise RenetError(
             f"the {what} {path} has {status.st_size / MEGABYTE:.1f} MB; "
@@ -129,7 +131,7 @@ def create(path: Path, what: str = "file") -> BinaryIO:
         path.parent.mkdir(parents=True, exist_ok=True)
         return open(_new(path), "wb")
     except (OSError, ValueError) as error:
-        raise RenetError(f"cannot write the {what} {path}: {reason(error)}") from error
+        raise RenetError(f"cannot write the {what} {path}: {obstacle(error, path)}") from error
 
 
 def append(path: Path) -> TextIO:
@@ -161,7 +163,7 @@ def write_atomically(path: Path, data: bytes, what: str = "file") -> None:
             temporary.unlink(missing_ok=True)
         sync(path.parent)
     except (OSError, ValueError) as error:
-        raise RenetError(f"cannot write the {what} {path}: {reason(error)}") from error
+        raise RenetError(f"cannot write the {what} {path}: {obstacle(error, path)}") from error
 
 
 def write_new(path: Path, data: bytes) -> None:
@@ -177,7 +179,7 @@ def remove(path: Path) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        raise RenetError(f"cannot delete {path}: {reason(error)}") from error
+        raise RenetError(f"cannot delete {path}: {obstacle(error, path)}") from error
 
 
 def temporary_path(path: Path) -> Path:

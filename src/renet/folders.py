@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
-from renet.errors import RenetError, reason
+from renet.errors import RenetError, obstacle
 from renet.files import is_temporary, sync, temporary_path, write_new
 
 # Constants of Linux, from <fcntl.h> and <linux/fs.h>.
@@ -59,7 +59,7 @@ def write_folder(
             # This is the old folder, or after an error part of the new one.
             remove_folder(temporary, {*contents, *entries})
     except OSError as error:
-        raise RenetError(f"cannot write the {what} {path}: {reason(error)}") from error
+        raise RenetError(f"cannot write the {what} {path}: {obstacle(error, path)}") from error
 
 
 def demand_own(path: Path, entries: Collection[str], what: str) -> None:
@@ -90,7 +90,7 @@ def foreign(folder: Path, entries: Collection[str]) -> str | None:
                 elif not (stat.S_ISREG(mode) and (name in entries or is_temporary(path.name))):
                     return name
     except OSError as error:
-        raise RenetError(f"cannot read the folder {folder}: {reason(error)}") from error
+        raise RenetError(f"cannot read the folder {folder}: {obstacle(error, folder)}") from error
     return None
 
 
@@ -111,7 +111,7 @@ def remove_folder(folder: Path, entries: Collection[str]) -> None:
         if folder.exists():
             folder.rmdir()
     except OSError as error:
-        raise RenetError(f"cannot delete {folder}: {reason(error)}") from error
+        raise RenetError(f"cannot delete {folder}: {obstacle(error, folder)}") from error
 
 
 def new_folder(path: Path) -> Path:
@@ -145,7 +145,7 @@ def lock(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
-        raise RenetError(f"cannot write to {folder}: {reason(error)}") from error
+        raise RenetError(f"cannot write to {folder}: {obstacle(error, folder)}") from error
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -59,7 +59,10 @@ def serve_folder(folder: Path, port: int) -> ThreadingHTTPServer:
     try:
         return ThreadingHTTPServer((LOOPBACK, port), partial(FolderHandler, directory=str(folder)))
     except (OSError, OverflowError) as error:
-        raise RenetError(f"cannot serve on port {port}: {reason(error)}") from error
+        why = reason(error).rstrip(".")
+        raise RenetError(
+            f"cannot serve on port {port}: {why}; give another --port, or 0 for any free one"
+        ) from error
 
 
 class FolderHandler(SimpleHTTPRequestHandler):

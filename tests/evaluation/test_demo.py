@@ -133,6 +133,15 @@ def test_an_outcome_takes_the_place_of_the_state():
     assert image.getpixel((100, 2)) == (0, 0, 0)
 
 
+def test_a_fallen_robots_picture_is_dim_and_its_bars_are_not():
+    image = Image.new("RGB", (400, 300), (200, 200, 200))
+    video._dim(image)
+    pixels = np.asarray(image)
+    assert (pixels[:30] == 200).all()
+    assert (pixels[-30:] == 200).all()
+    assert (pixels[30:-30] < 100).all()
+
+
 def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "film", lambda path, *args: path.write_bytes(b"\0\0\0\0ftyp"))
     study = DemoStudy(tmp_path, robots=2, seconds=3.4, modes=("camera", "memory"))
@@ -145,9 +154,20 @@ def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
 def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypatch):
     monkeypatch.setattr(demo, "FILM_SPAN", (1.0, 4.0))
     study, end = DemoStudy(speed=0.6), 160
-    steps = study.pace(Trace.empty(end, 1))
+    steps = study.pace(Trace.empty(end, 1), goal=2.0)
     assert study.onset == 75
     assert [*steps[:3], *steps[25:27], steps[-1]] == [25, 27, 29, 75, 76, end - 1]
+
+
+def test_the_film_ends_one_second_after_its_last_robot_fell_or_crossed():
+    trace = Trace.empty(300, 2)
+    trace.fell[90, 0] = trace.ended[90, 0] = True
+    undecided = DemoStudy(speed=0.6).pace(trace, goal=2.0)
+    assert undecided[-1] > 220
+    trace.travelled[110:, 1] = 2.0
+    steps = DemoStudy(speed=0.6).pace(trace, goal=2.0)
+    assert steps[-1] == 110 + 49
+    assert steps == [step for step in undecided if step < 160]
 
 
 def test_the_film_is_of_the_walk_that_is_told(tmp_path, monkeypatch):

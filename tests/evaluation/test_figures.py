@@ -1,7 +1,8 @@
 """Figures of names that come from files."""
 
 import matplotlib.pyplot as plt
-from PIL import Image
+import numpy as np
+from PIL import Image, ImageColor
 
 from renet.evaluation import figures
 from renet.evaluation.results import Provenance
@@ -18,3 +19,29 @@ def test_a_name_that_looks_like_a_formula_is_drawn_as_it_is(tmp_path):
         figures.legend(figure, axis)
         path = figures.save_figure(figure, tmp_path / "odd.png", provenance)
     assert ODD in Image.open(path).text["Description"]
+
+
+def test_a_figure_is_a_card_whose_corners_show_the_page(tmp_path):
+    with plt.rc_context(figures.STYLE):
+        figure, axis = plt.subplots()
+        axis.set_title("card")
+        path = figures.save_figure(figure, tmp_path / "card.png", Provenance("b", "0", "native", 1))
+    picture = np.asarray(Image.open(path))
+    edges = picture[:, 0], picture[:, -1], picture[0], picture[-1]
+    card = [*ImageColor.getrgb(figures.CARD), 255]
+    for edge in edges:
+        assert edge[0, 3] == edge[-1, 3] == 0
+        assert (edge[40:-40] == card).all()
+
+
+def test_a_long_last_line_is_within_the_figure():
+    long = Provenance(
+        "b", "0" * 64, "native", 1, command="renet evaluate " + "--modes camera " * 12
+    )
+    with plt.rc_context(figures.STYLE):
+        figure, _ = plt.subplots(figsize=(figures.WIDTH, 2.0))
+        figures.add_footer(figure, long)
+        figure.canvas.draw()
+        right = figure._supxlabel.get_window_extent().x1  # type: ignore[attr-defined]
+    plt.close(figure)
+    assert right < figure.bbox.x1

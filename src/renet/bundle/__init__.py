@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -136,6 +137,8 @@ def read_manifest(folder: Path) -> Manifest:
     """Read and check `manifest.json` alone; raises RenetError, also for a file of no bundle."""
     if not folder.is_dir():
         raise RenetError(f"no bundle at {folder}: {_instead(str(folder))}")
+    if not os.path.lexists(folder / MANIFEST):
+        raise RenetError(f"{folder} is no bundle, without {MANIFEST}: {_instead(str(folder))}")
     # A link or a foreign file may lead out of the folder, or be lost when the bundle is replaced.
     for path in sorted(folder.iterdir()):
         regular = path.is_file() and (path.name in OURS or is_temporary(path.name))

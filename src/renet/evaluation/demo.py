@@ -45,7 +45,9 @@ _SLOW_SECONDS = 2.0
 GOAL_MARGIN = 0.5
 """Distance beyond the gap at which a robot has crossed it, m."""
 FILM_SPAN = (1.0, 3.2)
-"""Time that the film shows before and after the fault's onset, s."""
+"""Longest time that the film shows before and after the fault's onset, s."""
+_FILM_REST = 1.0
+"""Time for which the film goes on once each of its robots has fallen or crossed, s."""
 CONSEQUENCES = {
     "memory": "VP walks on from the ground that it remembers",
     "switch": "OP takes over once the image looks abnormal",
@@ -133,7 +135,8 @@ class DemoStudy(WalkingStudy):
         self._forget()
         goal = EDGES[_GROUND] + self.gap + GOAL_MARGIN
         path = self.out / "film.mp4"
-        film(path, env.scene_spec, trace, titles, _UNPLUGGED[0], self.pace(trace), goal)
+        steps = self.pace(trace.robots(np.array([*places])), goal)
+        film(path, env.scene_spec, trace, titles, _UNPLUGGED[0], steps, goal)
         return {
             "crossed": crossed,
             "fell": fell,
@@ -141,13 +144,22 @@ class DemoStudy(WalkingStudy):
             "remembers": bool((trace.vision & ~trace.has_image).any()),
         }
 
-    def pace(self, trace: Trace) -> list[int]:
-        """Control steps of the film's pictures, at half speed just after the fault's onset."""
+    def pace(self, trace: Trace, goal: float) -> list[int]:
+        """Control steps of the film's pictures, at half speed just after the fault's onset.
+
+        Args:
+            trace: the run of the robots that the film shows.
+            goal: distance from the start at which a robot has crossed, m.
+        """
         before = round(FILM_SPAN[0] / CONTROL_DT)
         after = round(FILM_SPAN[1] / CONTROL_DT)
         onset = self.onset
         normal = onset + round(_SLOW_SECONDS / CONTROL_DT)
         end = min(onset + after, len(trace.fell))
+        # Where a robot has no outcome, the film is as long as it may be.
+        decided = (trace.over | (trace.travelled >= goal)).all(axis=1)
+        if decided.any():
+            end = min(end, int(decided.argmax()) + round(_FILM_REST / CONTROL_DT))
         return [
             *range(max(onset - before, 0), onset, _STRIDE),
             *range(onset, min(normal, end), _STRIDE // 2),

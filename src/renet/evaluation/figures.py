@@ -1,6 +1,12 @@
-"""Figures of studies in one style, drawn without a display and saved with their provenance."""
+"""Figures of studies in one style, drawn without a display and saved with their provenance.
+
+Each is a card of its own colour with round corners, on a light page and on a dark one. Where it has
+several panels they are below one another, so that its words are legible on a telephone.
+"""
 
 import io
+import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from itertools import chain, cycle
 from pathlib import Path
@@ -14,6 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
 
 from renet.evaluation.results import Provenance, column, group_by
 from renet.faults import fault_class
@@ -30,8 +37,16 @@ _NOISE_COLOURS = {
 """Colours of each noise, in the order of its levels."""
 INK = "#222730"
 """Colour of text and lines."""
-FAINT = "#8a919c"
+FAINT = "#69707b"
 """Colour of what is less important."""
+CARD = "#f6f7f9"
+"""Colour of a figure's background, and that of the drawings of the documents."""
+_CORNER = 0.08
+"""Radius of a figure's corners, inches."""
+WIDTH = 5.6
+"""Width of a figure of several panels, inches: on a telephone its letters are 9 pixels high."""
+_FOOTER_LETTERS = 19
+"""Letters of a figure's last line in an inch."""
 MODE_COLOURS = {
     "camera": SEES_COLOUR,
     "memory": REMEMBERS_COLOUR,
@@ -41,7 +56,8 @@ MODE_COLOURS = {
 }
 
 STYLE: dict[Any, Any] = {
-    "figure.facecolor": "white",
+    "figure.facecolor": CARD,
+    "axes.facecolor": "none",
     "figure.constrained_layout.use": True,
     "font.size": 10,
     "text.color": INK,
@@ -53,7 +69,7 @@ STYLE: dict[Any, Any] = {
     "axes.titlesize": 11,
     "axes.titleweight": "bold",
     "axes.grid": True,
-    "grid.color": "#e8eaee",
+    "grid.color": "#dee1e6",
     "xtick.color": "#555c66",
     "ytick.color": "#555c66",
     "legend.frameon": False,
@@ -69,18 +85,41 @@ def save_figure(figure: Figure, path: Path, provenance: Provenance, dpi: int = 1
 
     matplotlib makes ticks only now, in its current style.
     """
-    line = provenance.line
-    footer = line if len(line) <= 150 else line[:149] + "…"
-    figure.supxlabel(footer, fontsize=6.5, color=FAINT, x=0.01, ha="left")
+    add_footer(figure, provenance)
+    _round_corners(figure)
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=dpi, metadata={"Description": line})
+    figure.savefig(picture, format="png", dpi=dpi, metadata={"Description": provenance.line})
     plt.close(figure)
     write_atomically(path, picture.getvalue(), "figure")
     return path
 
 
+def add_footer(figure: Figure, provenance: Provenance) -> None:
+    """Write the provenance below a figure, shortened, in lines as long as the figure is wide."""
+    line = provenance.line
+    short = line if len(line) <= 150 else line[:149] + "…"
+    footer = textwrap.fill(short, int(_FOOTER_LETTERS * figure.get_figwidth()))
+    figure.supxlabel(footer, fontsize=6.5, color=FAINT, x=0.01, ha="left")
+
+
+def _round_corners(figure: Figure) -> None:
+    """Put a card with round corners in the place of a figure's background."""
+    figure.patch.set_visible(False)
+    card = FancyBboxPatch(
+        (0.0, 0.0),
+        *figure.get_size_inches(),
+        boxstyle=f"round,pad=0,rounding_size={_CORNER}",
+        transform=figure.dpi_scale_trans,
+        facecolor=CARD,
+        linewidth=0,
+        zorder=-1,
+    )
+    figure.add_artist(card)
+
+
 def png(figure: Figure, dpi: int = 150) -> bytes:
     """Render a figure as PNG and close it."""
+    _round_corners(figure)
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=dpi)
     plt.close(figure)
@@ -105,15 +144,21 @@ def noise_label(noise: str, level: float) -> str:
 def speed_over_time(
     curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]], onset: float, command: float
 ) -> Figure:
-    """The paper's comparison: mean forward velocity against timestep, one panel for each mode.
+    """The paper's comparison: mean forward velocity against timestep, a panel below the other.
 
     Args:
         curves: mode → (noise, level) → [T] m/s, mean over the robots.
         onset: time at which the noise begins, s.
         command: commanded speed, m/s.
     """
-    figure, axes = plt.subplots(1, len(curves), figsize=(11, 4.2), sharey=True, squeeze=False)
-    for axis, letter, (mode, settings) in zip(axes[0], "abcdef", curves.items(), strict=False):
+    size = (WIDTH, 2.6 * len(curves) + 1.0)
+    figure, axes = plt.subplots(
+        len(curves), 1, figsize=size, sharex=True, sharey=True, squeeze=False
+    )
+    column_of_axes = axes[:, 0]
+    for axis, letter, (mode, settings) in zip(
+        column_of_axes, "abcdef", curves.items(), strict=False
+    ):
         shades = {noise: cycle(_NOISE_COLOURS.get(noise, ("#7d8590",))) for noise, _ in settings}
         for (noise, level), speed in settings.items():
             look: Any = {"color": next(shades[noise]), "label": noise_label(noise, level)}
@@ -121,9 +166,9 @@ def speed_over_time(
         axis.axvline(onset / CONTROL_DT, color=INK, linewidth=1, linestyle=":")
         axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
         write_beside(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
-        axis.set(title=f"({letter}) {mode}", xlabel="timestep (0.02 s)")
-    axes[0][0].set_ylabel("mean forward velocity (m/s)")
-    legend(figure, axes[0][0])
+        axis.set(title=f"({letter}) {mode}", ylabel="mean forward\nvelocity (m/s)")
+    column_of_axes[-1].set_xlabel("timestep (0.02 s)")
+    legend(figure, column_of_axes[0])
     return figure
 
 
@@ -155,15 +200,22 @@ def mean_cells(
 
 
 def colour_tables(
-    panels: Mapping[str, Cells], title: str, xlabel: str = "", width: float = 0.42
+    panels: Mapping[str, Cells],
+    title: str,
+    xlabel: str = "",
+    width: float = 0.42,
+    stacked: bool = False,
+    rotation: float = 0.0,
 ) -> Figure:
-    """Coloured tables side by side with the same rows, dark for 100, light for 0.
+    """Coloured tables with the same rows, dark for 100, light for 0.
 
     Args:
         panels: cells of each table, by its title.
         title: title of the figure.
         xlabel: name of the columns' quantity.
         width: width of a column, inches.
+        stacked: tables are below one another instead of side by side.
+        rotation: rotation of the columns' names, degrees.
     """
     # Rows and columns of all panels, in the order in which they first occur.
     rows: list[str] = []
@@ -174,9 +226,11 @@ def colour_tables(
         if heading not in columns:
             columns.append(heading)
     with plt.rc_context({"axes.grid": False, "axes.spines.left": False}):
-        size = (2.2 + width * len(columns) * len(panels), 1.4 + 0.3 * len(rows))
-        figure, axes = plt.subplots(1, len(panels), figsize=size, sharey=True, squeeze=False)
-        for axis, (name, panel) in zip(axes[0], panels.items(), strict=True):
+        across = 1 if stacked else len(panels)
+        down = len(panels) if stacked else 1
+        size = (2.0 + width * len(columns) * across, 0.6 + (0.8 + 0.28 * len(rows)) * down)
+        figure, axes = plt.subplots(down, across, figsize=size, sharey=True, squeeze=False)
+        for axis, (name, panel) in zip(axes.flat, panels.items(), strict=True):
             shade = np.full((len(rows), len(columns)), np.nan)
             for (row, heading), (value, _) in panel.items():
                 shade[rows.index(row), columns.index(heading)] = value
@@ -185,8 +239,8 @@ def colour_tables(
             for (row, heading), (value, text) in panel.items():
                 ink = "white" if value > 80 else INK
                 place = (columns.index(heading), rows.index(row))
-                axis.text(*place, text, ha="center", va="center", fontsize=8, color=ink)
-            axis.set_xticks(range(len(columns)), columns, fontsize=8)
+                axis.text(*place, text, ha="center", va="center", fontsize=9, color=ink)
+            axis.set_xticks(range(len(columns)), columns, fontsize=9, rotation=rotation)
             axis.set_yticks(range(len(rows)), [row.replace("_", " ") for row in rows])
             axis.tick_params(length=0)
             axis.set(title=name, xlabel=xlabel)
@@ -204,23 +258,22 @@ def share_panels(
     """Panels with shares of robots that cross and their intervals, a line for each mode.
 
     Args:
-        panels: rows of a summary, by title; up to four panels are side by side.
+        panels: rows of a summary, by title; two panels are side by side.
         name: name of the share, whose columns are NAME_rate, NAME_ci95_low and NAME_ci95_high.
         tick: label of a row's place; places are evenly spaced, in the order in which their labels
             first occur.
         xlabel: label of the horizontal axis.
         rotation: rotation of the tick labels, degrees.
     """
-    columns = min(len(panels), 4)
+    columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    # Wide enough for the legend.
-    size = (max(2.5 * columns, 6.8) + 0.9, 2.4 * rows + 0.8)
+    size = (WIDTH, 1.75 * rows + 0.9)
     figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
     for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):
         places = list(dict.fromkeys(map(tick, runs)))
         modes = group_by(runs, "mode")
         # Modes are side by side, or equal shares would hide each other.
-        apart = 0.012 * max(len(places) - 1, 1)
+        apart = 0.02 * max(len(places) - 1, 1)
         for number, ((mode,), line) in enumerate(modes.items()):
             shift = (number - (len(modes) - 1) / 2) * apart
             x = [places.index(tick(run)) + shift for run in line]
@@ -235,7 +288,8 @@ def share_panels(
     for axis in axes.flat[len(panels) :]:
         axis.set_axis_off()
     axes[0][0].set_ylim(-4, 104)
-    axes[-1][0].set_xlabel(xlabel)
+    for axis in axes[-1]:
+        axis.set_xlabel(xlabel)
     figure.supylabel("robots that cross (%)", fontsize=10)
     legend(figure, axes[0][0])
     return figure
@@ -327,4 +381,8 @@ def legend(figure: Figure, *axes: Axes) -> None:
     handles = []
     for axis in axes:
         handles += axis.get_legend_handles_labels()[0]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), fontsize=9)
+    # Rows of about as many entries as have room.
+    rows = math.ceil(1.1 * len(handles) / figure.get_figwidth())
+    look: Any = {"columnspacing": 1.2, "handlelength": 1.6, "fontsize": 9}
+    columns = math.ceil(len(handles) / max(rows, 1))
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns, **look)

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 import renet
-from renet.errors import RenetError, printable
+from renet.errors import RenetError, obstacle, printable
 from renet.files import read_object, write_atomically
 from renet.version import commit
 
@@ -64,9 +64,9 @@ def output_folder(path: Path) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RenetError(f"cannot write results to {path}: {error.strerror}") from error
+        raise RenetError(f"cannot write results to {path}: {obstacle(error, path)}") from error
     if not os.access(path, os.W_OK):
-        raise RenetError(f"cannot write results to {path}: permission denied")
+        raise RenetError(f"cannot write results to {path}: permission denied; give another folder")
     return path
 
 

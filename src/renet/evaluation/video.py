@@ -27,7 +27,11 @@ DARK_GREEN = (30, 110, 50)
 """Background of the outcome "crossed"."""
 DARK_RED = (170, 30, 25)
 """Background of the outcome "fell"."""
-_SHADE = (16, 18, 22, 190)
+_NIGHT = (16, 18, 22)
+"""Colour that dims the picture of a robot that fell."""
+_DIMMED = 0.6
+"""Share of that colour."""
+_SHADE = (*_NIGHT, 190)
 """Background of texts, RGBA."""
 _BAR = 30
 """Height of the bars above and below a picture, pixels."""
@@ -54,7 +58,8 @@ def film(
 ) -> Path:
     """Draw robots side by side and write an mp4 that any browser plays.
 
-    A robot whose first try is over is put back at its start by the simulator: its picture stops.
+    A robot whose first try is over is put back at its start by the simulator: its picture stops,
+    and is dimmed if it fell.
 
     Args:
         path: path of the mp4; raises RenetError if ffmpeg is missing, or it cannot be written.
@@ -109,11 +114,20 @@ def pictures(
             fell = bool(trace.fallen[step, robot])
             _stamp(image, trace, at, robot, titles[robot], fault, fell)
             if fell:
+                _dim(image)
                 _write_outcome(image, "fell", DARK_RED)
             elif trace.travelled[at, robot] >= goal:
                 _write_outcome(image, "crossed", DARK_GREEN)
             panels.append(np.asarray(image))
         yield np.hstack(panels)
+
+
+def _dim(image: Image.Image) -> None:
+    """Dim a picture between its bars: its robot moves no more, and the others are to be watched."""
+    box = (0, _BAR, image.width, image.height - _BAR)
+    picture = image.crop(box)
+    night = Image.new("RGB", picture.size, _NIGHT)
+    image.paste(Image.blend(picture, night, _DIMMED), box)
 
 
 def _write_outcome(image: Image.Image, outcome: str, colour: tuple[int, int, int]) -> None:

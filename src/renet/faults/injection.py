@@ -82,6 +82,9 @@ def parse_fault(text: str, onset: float | None = None) -> Injection:
     """
     match = FAULT.fullmatch(text)
     begins = float(match["onset"]) if match and match["onset"] else onset
+    # A misspelt name is the likelier mistake, and its form may be another one.
+    if name := re.match(r"[a-z_]+", text):
+        fault_class(name[0])
     if match is None or begins is None:
         raise RenetError(
             f"cannot read the fault {text!r}: write NAME[:SEVERITY]@SECONDS[+DURATION], "

@@ -5,7 +5,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from renet.errors import RenetError, install, reason
+from renet.errors import RenetError, install
 from renet.files import MEGABYTE, require_regular
 
 ARRAY = ".npy"
@@ -54,7 +54,9 @@ def _array(file: Path) -> np.ndarray:
     try:
         stored = np.load(file, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError, BadZipFile) as error:
-        raise RenetError(f"the height map {file} is no .npy of numbers: {reason(error)}") from error
+        raise RenetError(
+            f"the height map {file} is no .npy of numbers: save heights in m with numpy.save"
+        ) from error
     if not isinstance(stored, np.ndarray) or stored.dtype.kind not in "iuf":
         raise RenetError(f"the height map {file} must hold numbers: save heights in m as floats")
     _demand_size(file, stored.size)
@@ -75,7 +77,7 @@ def _picture(file: Path) -> np.ndarray:
             grey = np.asarray(picture if has_16_bits else picture.convert("L"), float)
     except (OSError, ValueError, SyntaxError) as error:
         raise RenetError(
-            f"the height map {file} is no .png that Pillow reads: {reason(error)}"
+            f"the height map {file} is no .png that Pillow reads: save the picture as PNG"
         ) from error
     return grey[::-1] / (65535.0 if has_16_bits else 255.0)
 

@@ -375,7 +375,7 @@ def compile_scene(file: Path) -> mujoco.MjModel:
     try:
         model = mujoco.MjSpec.from_file(str(file)).compile()
     except ValueError as error:
-        raise RenetError(str(error).splitlines()[0]) from error
+        raise RenetError(f"{' '.join(str(error).split())}; give MJCF that MuJoCo loads") from error
     if model.njnt:
         body = model.body(model.jnt_bodyid[0]).name
         raise RenetError(

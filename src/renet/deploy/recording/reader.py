@@ -121,7 +121,7 @@ def _demand_mcap(file: BinaryIO, path: Path) -> None:
         writer = _EARLIER_WRITERS.get(file.read(1), "an earlier renet")
         raise RenetError(f"{path} is a recording of {writer}: only that version reads it")
     if magic != MAGIC:
-        raise RenetError(f"{path} is not a recording: those are MCAP files")
+        raise RenetError(f"{path} is not a recording: give an MCAP file of `renet deploy`")
 
 
 def _records(file: BinaryIO) -> Iterator[McapRecord]:

@@ -164,7 +164,7 @@ class CameraUseStudy(LevelStudy):
         for (ground,), runs in group_by(summary["runs"], "ground").items():
             panels[ground.replace("_", " ")] = runs
         figure = figures.share_panels(panels, "crossed", itemgetter("view"), rotation=90)
-        figure.suptitle(textwrap.fill(summary["sentence"], 100), fontsize=9)
+        figure.suptitle(textwrap.fill(summary["sentence"], 72), fontsize=9)
         return {"camera_use.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:

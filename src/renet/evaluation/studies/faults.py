@@ -457,7 +457,8 @@ def _healthy_walks(no_fault: Part, healthy: Part) -> dict[str, Any]:
 def crossed_table(modes: Mapping[str, list[dict[str, Any]]]) -> Figure:
     """Coloured table of the robots that cross, by fault and ground; rows of a summary by mode."""
     title = "Robots that cross (%), all severities and onsets together"
-    return figures.colour_tables(_mode_panels(modes, _crossed, "ground"), title, width=0.62)
+    panels = _mode_panels(modes, _crossed, "ground")
+    return figures.colour_tables(panels, title, width=0.34, rotation=90)
 
 
 def _crossed(run: dict[str, Any]) -> float:

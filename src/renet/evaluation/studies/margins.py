@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import scipy
 
-from renet.errors import RenetError
+from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
 from renet.evaluation.rollout import StudyMode, check_grounds, robot_numbers
@@ -138,8 +138,10 @@ class MarginsStudy(WalkingStudy):
     quick_robots: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
-        if not self.axes or not {*self.axes} <= MARGIN_AXES.keys():
-            raise RenetError(f"axes {self.axes}: choose among {', '.join(MARGIN_AXES)}")
+        if not self.axes:
+            raise RenetError(f"axes has no name: choose among {', '.join(MARGIN_AXES)}")
+        for axis in self.axes:
+            demand_name("axis", axis, MARGIN_AXES)
         super().__post_init__()
         check_grounds(dict.fromkeys(self.grounds, self.level))
         if self.seconds < CONTROL_DT or not self.grounds:
@@ -229,7 +231,7 @@ class MarginsStudy(WalkingStudy):
             panels[ground.replace("_", " ")] = cells
         share = f"{100 * ALLOWED_LOSS:.0f} %"
         title = f"How far a robot may be off before {share} fail; even: the sweep's end"
-        return {"margins.png": figures.colour_tables(panels, title, width=0.95)}
+        return {"margins.png": figures.colour_tables(panels, title, width=1.2, stacked=True)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Margins of each axis, by ground and mode."""

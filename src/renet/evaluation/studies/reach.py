@@ -164,9 +164,9 @@ class ReachStudy(WalkingStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure reach.png: shares that cross and fall, against the distance of the death."""
-        figure, axes = plt.subplots(1, 2, figsize=(7.6, 3.0), sharey=True, squeeze=False)
+        figure, axes = plt.subplots(2, 1, figsize=(figures.WIDTH, 5.0), sharex=True, sharey=True)
         single = select(summary["runs"], scene="gap")
-        for axis, share in zip(axes[0], ("crossed", "fell"), strict=True):
+        for axis, share in zip(axes, ("crossed", "fell"), strict=True):
             for number, ((conduct,), runs) in enumerate(group_by(single, "unseen").items()):
                 # Conducts are side by side, or equal shares would hide each other.
                 x = np.array(column(runs, "measured_m")) + 0.012 * number
@@ -184,10 +184,10 @@ class ReachStudy(WalkingStudy):
                     markersize=4,
                 )
             axis.set_title(f"{share}, gap of {100 * self.gap:.0f} cm", fontsize=9)
-            axis.set_xlabel("metres from the camera's death to the edge")
-        axes[0][0].set_ylabel("robots (%)")
-        axes[0][0].set_ylim(-4, 104)
-        figures.legend(figure, axes[0][0])
+            axis.set_ylabel("robots (%)")
+        axes[0].set_ylim(-4, 104)
+        axes[1].set_xlabel("metres from the camera's death to the edge")
+        figures.legend(figure, axes[0])
         return {"reach.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:

@@ -48,7 +48,7 @@ def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
         show_what_collides(scene)
         spec.attach(scene, prefix="scene/", frame=spec.worldbody.add_frame())
     except ValueError as error:
-        raise RenetError(str(error).splitlines()[0]) from error
+        raise RenetError(f"{' '.join(str(error).split())}; give MJCF that MuJoCo loads") from error
 
 
 def show_what_collides(scene: mujoco.MjSpec) -> None:
@@ -88,7 +88,7 @@ def _trial() -> str:
     except MemoryError:
         return "it needs too much memory"
     except (RenetError, ValueError) as error:
-        return str(error).splitlines()[0]
+        return " ".join(str(error).split())
     return ""
 
 
