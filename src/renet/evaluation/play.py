@@ -71,6 +71,13 @@ class PlayCfg:
     the run; the film shows it up to then."""
 
 
+def _use_of(path: Path) -> str:
+    """Command for a file that is no bundle, in words."""
+    if path.suffix in (".onnx", ".pt"):
+        return "`renet evaluate benchmark --policy FILE --adapter NAME` walks a policy"
+    return "`renet evaluate log` draws a recording"
+
+
 @contextmanager
 def bundle_folder(path: Path | None) -> Iterator[Path | None]:
     """Folder of a bundle; a checkpoint is exported to a folder that lasts as long as the block.
@@ -78,7 +85,7 @@ def bundle_folder(path: Path | None) -> Iterator[Path | None]:
     Raises RenetError for a folder that holds neither.
     """
     if path is not None and path.is_file():
-        raise RenetError(f"{path} is a file, no bundle: `renet evaluate log` draws a recording")
+        raise RenetError(f"{path} is a file, no bundle: {_use_of(path)}")
     folder = None if path is None else find_bundle(path)
     # A folder without manifest is a checkpoint or a run; a missing one fails when it is loaded.
     if folder is None or (folder / MANIFEST).exists() or not folder.exists():

@@ -67,7 +67,7 @@ def test_another_file_is_another_policy(still, tmp_path):
 
 
 def test_a_wrong_adapter_is_told_before_anybody_walks(still):
-    with pytest.raises(RenetError, match="this adapter gives 1: choose another --adapter"):
+    with pytest.raises(RenetError, match="the adapter gives 1; choose another --adapter"):
         AdaptedEvaluator(still, "robot-lab")
 
 
@@ -79,6 +79,38 @@ def test_an_adapter_of_ones_own(tmp_path):
     evaluator = AdaptedEvaluator(tmp_path / "twice.onnx", str(tmp_path / "mine.py"))
     assert [*evaluator.entries] == ["blind"]
     assert evaluator.robot.damping == 1.0
+
+
+def own_adapter(folder, act: str, bundle: str = "go1-parkour") -> str:
+    """File of an adapter whose `act` has this one statement."""
+    path = folder / "mine.py"
+    path.write_text(
+        "from renet.evaluation.adapters.base import Adapter as Base\n\n\n"
+        f"class Adapter(Base):\n    bundle = {bundle!r}\n\n"
+        f"    def act(self, senses):\n        {act}\n"
+    )
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("act", "told"),
+    [
+        ("return self.model.run(senses.gravity)", r"the adapter gives 1; mend .*mine.py, line 8$"),
+        ("return self.model.run(senses.gravity, senses.depth)", r"shapes .*mine.py, line 8$"),
+        ("self.model.run", "adapter mine.py .* no array, as where `act` returns nothing"),
+        ("return senses.gravity", r"adapter mine.py .* joint targets of shape \[1, 3\]"),
+        ("return senses.yaw", "adapter mine.py, line 8, fails with .* AttributeError"),
+    ],
+)
+def test_an_error_in_an_own_adapter_names_its_line(still, tmp_path, act, told):
+    with pytest.raises(RenetError, match=told):
+        AdaptedEvaluator(still, own_adapter(tmp_path, act))
+
+
+def test_an_own_adapter_of_no_robot(still, tmp_path):
+    mine = own_adapter(tmp_path, "return senses.joint_position", bundle="go2")
+    with pytest.raises(RenetError, match=r"mine.py: bundle.*go2-parkour"):
+        AdaptedEvaluator(still, mine)
 
 
 def test_an_image_reaches_torchscript_as_it_reaches_onnx(still, tmp_path):
@@ -157,7 +189,7 @@ def eight(tmp_path):
         ),
         (
             "self.model.run(senses.joint_position)[0]",
-            r"mine with eight\.onnx gives joint targets of shape \[1, 8\]: \[1, 12\] finite",
+            r"mine.py with eight\.onnx gives joint targets of shape \[1, 8\]: \[1, 12\] finite",
         ),
         (
             "senses.joint_position * float('nan')",

@@ -64,14 +64,14 @@ def test_torchscript_remembers_each_robot(torch_file):
 
 
 def test_too_few_inputs_are_told(onnx_file):
-    with pytest.raises(RenetError, match=r"has the inputs observation, this adapter gives 2"):
+    with pytest.raises(RenetError, match=r"has the inputs observation, the adapter gives 2"):
         open_model(onnx_file).run(np.ones((1, 3)), np.ones((1, 3)))
 
 
 @pytest.mark.parametrize("kind", ["onnx_file", "torch_file"])
 def test_a_method_that_is_not_there_is_told(kind, request):
     model = open_model(request.getfixturevalue(kind))
-    with pytest.raises(RenetError, match="has no method encode, which this adapter needs"):
+    with pytest.raises(RenetError, match="has no method encode, which the adapter needs"):
         model.run(np.ones((1, 3)), method="encode")
 
 

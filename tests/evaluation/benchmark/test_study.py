@@ -100,7 +100,7 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
         ({"entries": ("memory", "memory")}, "give each of them once"),
         ({"entries": ("renet",)}, "unknown entry 'renet': choose among memory"),
         ({"conditions": "training"}, "conditions and motors of its own"),
-        ({"policy": "x.onnx"}, "give --policy FILE and --adapter NAME together"),
+        ({"policy": "x.onnx"}, "give --policy FILE and --adapter together"),
         ({"policy": "x", "adapter": "himloco", "bundle": "b"}, "not both"),
         ({"draw_seed": -1}, "draw seed must be at least 0"),
         ({"sealed": "x", "quick": True}, "give --sealed or --quick"),

@@ -13,10 +13,10 @@ from traceback import extract_tb
 
 import numpy as np
 
-from renet.bundle import pretrained
-from renet.errors import RenetError, printable, unknown_name
+from renet.bundle import SHIPPED, pretrained
+from renet.errors import RenetError, demand_name, printable, unknown_name
 from renet.evaluation.adapters.base import Adapter, Senses
-from renet.evaluation.adapters.models import MAX_POLICY_SIZE, Model, open_model
+from renet.evaluation.adapters.models import MAX_POLICY_SIZE, MisfitError, Model, open_model
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
 from renet.files import read_bytes
@@ -84,6 +84,10 @@ def _told(model: Model, kind: type[Adapter]) -> Iterator[None]:
     """Turn an error in an adapter's own code into a RenetError that says where and with what."""
     try:
         yield
+    except MisfitError as error:
+        own = not kind.__module__.startswith("renet.")
+        advice = f"mend {_place(error, kind).rstrip(',')}" if own else "choose another --adapter"
+        raise RenetError(f"{error}; {advice}") from error
     except RenetError:
         raise
     # An adapter is a user's code, which may raise anything.
@@ -110,10 +114,16 @@ def _demand_targets(target: np.ndarray, model: Model, kind: type[Adapter], count
     expected = (count, ACTION_SIZE)
     if target.shape == expected and np.isfinite(target).all():
         return
-    wrong = "that are not finite" if target.shape == expected else f"of shape {list(target.shape)}"
+    name = Path(kind.act.__code__.co_filename).name
+    if target.shape == expected:
+        wrong = "that are not finite"
+    elif target.shape == ():
+        wrong = "that are no array, as where `act` returns nothing"
+    else:
+        wrong = f"of shape {list(target.shape)}"
     raise RenetError(
-        f"adapter {kind.__module__} with {model.name} gives joint targets {wrong}: {list(expected)}"
-        " finite ones are needed (docs/benchmark.md)"
+        f"adapter {name} with {model.name} gives joint targets {wrong}: {list(expected)} finite"
+        " ones are needed (docs/benchmark.md)"
     )
 
 
@@ -212,6 +222,7 @@ class AdaptedEvaluator(Evaluator):
             engine: auto, native or warp.
         """
         self.adapter = find_adapter(adapter)
+        demand_name(f"adapter {adapter}: bundle", self.adapter.bundle, SHIPPED)
         super().__init__(pretrained(self.adapter.bundle), engine)
         self._path = path
         if self.adapter.needs_velocity:

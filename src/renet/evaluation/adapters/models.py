@@ -55,6 +55,10 @@ def open_model(path: Path) -> Model:
     raise RenetError(f"{path} is neither .onnx nor TorchScript (.pt): export the policy to one")
 
 
+class MisfitError(RenetError):
+    """A model does not fit the adapter that runs it."""
+
+
 def _first_line(error: Exception) -> str:
     """First line of an error's message, at most 160 characters; its type if it has none."""
     text = str(error).strip() or type(error).__name__
@@ -83,7 +87,9 @@ class OnnxModel:
         try:
             self._session = ort.InferenceSession(path, options, ["CPUExecutionProvider"])
         except Exception as error:
-            raise RenetError(f"{path} is no ONNX model: {_first_line(error)}") from None
+            raise RenetError(
+                f"{path} is no ONNX model: {_first_line(error)}; export the policy again"
+            ) from None
         self._inputs = [node.name for node in self._session.get_inputs()]
 
     def run(self, *inputs: np.ndarray, robot: int = 0, method: str = "forward") -> list[np.ndarray]:
@@ -91,9 +97,9 @@ class OnnxModel:
         if method != "forward":
             raise _method_error(self.name, method)
         if len(inputs) != len(self._inputs):
-            raise RenetError(
-                f"{self.name} has the inputs {', '.join(map(printable, self._inputs))}, this"
-                f" adapter gives {len(inputs)}: choose another --adapter"
+            raise MisfitError(
+                f"{self.name} has the inputs {', '.join(map(printable, self._inputs))}, the"
+                f" adapter gives {len(inputs)}"
             )
         feed = {}
         for name, value in zip(self._inputs, inputs, strict=True):
@@ -189,20 +195,18 @@ def _tensors(outputs: Any) -> list[Any]:
     return tensors
 
 
-def _method_error(name: str, method: str) -> RenetError:
+def _method_error(name: str, method: str) -> MisfitError:
     """Error for a model that lacks a method of the adapter's."""
-    return RenetError(
-        f"{name} has no method {method}, which this adapter needs: make the file as"
-        " docs/benchmark.md says, or choose another --adapter"
+    return MisfitError(
+        f"{name} has no method {method}, which the adapter needs: make the file as"
+        " docs/benchmark.md says"
     )
 
 
-def _input_error(name: str, inputs: Sequence[np.ndarray], error: Exception) -> RenetError:
+def _input_error(name: str, inputs: Sequence[np.ndarray], error: Exception) -> MisfitError:
     """Error for a model that does not take the adapter's inputs."""
     shapes = ", ".join(str(list(value.shape)) for value in inputs)
     # TorchScript's traceback begins with the place and ends with the reason.
     last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
     words = printable(shorten(last, 160, placeholder=" …"))
-    return RenetError(
-        f"{name} does not take inputs of shapes {shapes}: {words}; choose another --adapter"
-    )
+    return MisfitError(f"{name} does not take inputs of shapes {shapes}: {words}")

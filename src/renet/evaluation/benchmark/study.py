@@ -94,7 +94,9 @@ class BenchmarkStudy(Study):
     def _check_policy(self) -> None:
         """Raise RenetError if a policy lacks its adapter, or comes with a bundle."""
         if (self.policy is None) != (self.adapter is None):
-            raise RenetError("give --policy FILE and --adapter NAME together")
+            raise RenetError(
+                "give --policy FILE and --adapter together: a name of docs/benchmark.md, or FILE.py"
+            )
         if self.policy is not None and self.bundle is not None:
             raise RenetError("give --policy or --bundle, not both")
 
