@@ -25,6 +25,8 @@ _PACE = 2
 """Simulated seconds in a second of film."""
 _LAST = 1.0
 """Time for which the end of a section stays, s of simulated time."""
+_PATIENCE = 6.0
+"""Longest time for which the film waits for the slower robot, s of simulated time."""
 _QUALITY = 35
 """Of the WebP, 0 to 100."""
 _STATES = ("vision", "has_image", "unseen", "failing", "forward_velocity")
@@ -79,15 +81,21 @@ def clip(visit: Visit, number: int, robots: Sequence[int], start: float) -> Trac
     trace = visit.trace
     assert trace.film is not None
     ways = [visit.steps(number, robot) for robot in robots]
-    count = max(map(len, ways)) + round(_LAST / CONTROL_DT)
-    # Whoever is through sooner stays in its last picture.
-    steps = np.stack([np.pad(way, (0, count - len(way)), mode="edge") for way in ways], axis=1)
+    sooner, later = sorted(map(len, ways))
+    count = min(later, sooner + round(_PATIENCE / CONTROL_DT)) + round(_LAST / CONTROL_DT)
+    shown = []
+    for way in ways:
+        # Whoever is through sooner stays in its last picture.
+        shown.append(np.pad(way[:count], (0, max(count - len(way), 0)), mode="edge"))
+    steps = np.stack(shown, axis=1)
     cut = Trace.empty(count, len(robots))
     for name in _STATES:
         getattr(cut, name)[:] = getattr(trace, name)[steps, robots]
     cut.travelled[:] = visit.position[steps, robots] - start
     for place, (way, robot) in enumerate(zip(ways, robots, strict=True)):
         end = len(way) - 1
+        if end >= count:
+            continue
         cut.ended[end, place] = True
         cut.fell[end, place] = trace.fell[way[-1], robot]
         # A robot that fell is at its next start already.

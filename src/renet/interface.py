@@ -15,6 +15,8 @@ Terrain = Literal[
     "flat", "rough", "obstacles", "stairs", "stairs_up", "stairs_down", "gap", "platform"
 ]
 """Kinds of ground; `stairs` go down."""
+OWN_GROUND = "own"
+"""Name of the ground of a user's own file."""
 PilotMode = Literal["memory", "switch", "camera", "blind"]
 """Decision whether VP or OP drives. memory: by all monitors, which withhold bad images, and by VP's
 memory of the ground. switch: by the paper's switch, the filtered comparison of the reconstruction

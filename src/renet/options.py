@@ -120,7 +120,8 @@ class UsualOptions(TrainOptions):
         if self.config is not None:
             if self.resume is not None:
                 raise RenetError(
-                    "a run that goes on has its own settings: leave --config or --resume away"
+                    "a run that goes on has its own settings: drop --config and change them by"
+                    " options, or begin a run without --resume"
                 )
             stored = read_settings(self.config).get("task", "")
             if not (task or stored):

@@ -24,7 +24,7 @@ from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
 from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.replay import replay_error
-from renet.deploy.recording.score import SCORE, TIMELINE, write_score
+from renet.deploy.recording.score import SCORE, TIMELINE, score_run, write_score
 from renet.deploy.recording.tick import MODES
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.safety.machine import Mode
@@ -205,6 +205,13 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
     np.testing.assert_array_equal(seen[45], clear[45])
     nearer = clear[50].astype(float) - seen[50]
     assert np.median(nearer[24:]) > 0.03
+
+
+def test_a_run_on_ones_own_ground_says_so(tmp_path, capsys):
+    np.save(tmp_path / "hills.npy", np.random.default_rng(1).uniform(-0.02, 0.02, (80, 80)))
+    flight = run(tmp_path / "run", driver=SimulationCfg(scene=tmp_path / "hills.npy"))
+    assert (flight.header["terrain"], flight.header["level"]) == ("own", None)
+    assert score_run(flight, [])["crossed"] == ""
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop import TeleopCfg
 from renet.errors import RenetError, collected, demand_name, demand_none
 from renet.faults import Injection, parse_fault
-from renet.interface import CONTROL_DT, MAX_SPEED, PilotMode, Unseen
+from renet.interface import CONTROL_DT, MAX_SPEED, OWN_GROUND, PilotMode, Unseen
 
 ENTRY_POINTS = "renet.robots"
 """Group of entry points: modules of other packages, which add robots, cameras and operators to the
@@ -208,6 +208,9 @@ class DeployCfg:
         options = {}
         for name, value in devices.items():
             options[name] = value if isinstance(value, int | float | None) else str(value)
+        if options.get("scene"):
+            # It replaces the terrain, and has no levels.
+            options |= {"terrain": OWN_GROUND, "level": None}
         selector = bundle.manifest.selector
         # The paper's switch knows one threshold; the other modes use those of the calibration.
         if self.mode == "switch":

@@ -7,9 +7,9 @@ from typing import Any, cast
 from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 
 from renet.errors import RenetError
+from renet.interface import OWN_GROUND
 from renet.options import NO_TILES, check_share
 from renet.terrain.course import WIDTH, Course
-from renet.terrain.own_ground import KIND
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
 # mjlab's command line accepts only its subclasses; `Tile` itself must not import mjlab.
@@ -94,7 +94,9 @@ def own_ground(tile: Tile, level: int) -> TerrainEntityCfg:
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
     size = tile.measure((level - 1) / (LEVELS - 1))
-    return parkour_terrain(EVALUATION_SEED, {KIND: replace(tile, low=size, high=size)}, levels=1)
+    return parkour_terrain(
+        EVALUATION_SEED, {OWN_GROUND: replace(tile, low=size, high=size)}, levels=1
+    )
 
 
 def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -> None:
@@ -113,10 +115,10 @@ def add_own_ground(terrain: TerrainEntityCfg | None, tile: Tile, share: float) -
         raise RenetError(NO_TILES)
     generator = terrain.terrain_generator
     if share == 1.0:
-        generator.sub_terrains = cast(Any, {KIND: replace(tile, proportion=1.0)})
+        generator.sub_terrains = cast(Any, {OWN_GROUND: replace(tile, proportion=1.0)})
         return
     # Proportions are relative to each other: that of the new kind follows from the others' sum.
-    others = {kind: cfg for kind, cfg in generator.sub_terrains.items() if kind != KIND}
+    others = {kind: cfg for kind, cfg in generator.sub_terrains.items() if kind != OWN_GROUND}
     total = sum(cfg.proportion for cfg in others.values())
     proportion = share / (1.0 - share) * total
-    generator.sub_terrains = cast(Any, {**others, KIND: replace(tile, proportion=proportion)})
+    generator.sub_terrains = cast(Any, {**others, OWN_GROUND: replace(tile, proportion=proportion)})

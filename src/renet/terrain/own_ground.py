@@ -13,6 +13,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.files import MEGABYTE, require_regular
+from renet.interface import OWN_GROUND
 from renet.terrain.height_map import ARRAY, PICTURE, interpolate, read_heights
 from renet.terrain.tiles import (
     FLAT_RELIEF,
@@ -27,8 +28,6 @@ from renet.trial import judge, run_trial
 
 SCENE = ".xml"
 """Suffix of MJCF scenes."""
-KIND = "own"
-"""Name of this kind of tile."""
 MAX_SCENE = 20 * MEGABYTE
 """Largest size of an MJCF file, bytes."""
 FINEST = 0.05
@@ -249,7 +248,7 @@ def _add_heights(builder: TileBuilder, heights: np.ndarray) -> None:
     lowest = float(heights.min())
     relief = max(float(np.ptp(heights)), FLAT_RELIEF)
     field = builder.spec.add_hfield(
-        name=f"{KIND}_{len(builder.spec.hfields)}",
+        name=f"{OWN_GROUND}_{len(builder.spec.hfields)}",
         size=(TILE / 2, TILE / 2, relief, BASE),
         nrow=len(heights),
         ncol=len(heights),
@@ -327,7 +326,7 @@ def _add_field(
     columns = int(model.hfield_ncol[number])
     first = int(model.hfield_adr[number])
     field = builder.spec.add_hfield(
-        name=f"{KIND}_{len(builder.spec.hfields)}",
+        name=f"{OWN_GROUND}_{len(builder.spec.hfields)}",
         size=(half_x, half_y, relief, depth),
         nrow=rows,
         ncol=columns,

@@ -12,8 +12,8 @@ from typing import Any, TypeVar, get_type_hints
 from typeguard import TypeCheckError, check_type
 
 from renet.errors import RenetError, unknown_name
+from renet.interface import OWN_GROUND
 from renet.options import TrainOptions
-from renet.terrain.own_ground import KIND
 from renet.training.config import to_tuples
 from renet.training.provenance import PLAIN, to_json
 
@@ -84,16 +84,16 @@ def own_ground_of(settings: Mapping[str, Any]) -> dict[str, Any]:
     tiles: Any = settings
     for name in ("env", "scene", "terrain", "terrain_generator", "sub_terrains"):
         tiles = tiles.get(name) if isinstance(tiles, Mapping) else None
-    if not isinstance(tiles, Mapping) or KIND not in tiles:
+    if not isinstance(tiles, Mapping) or OWN_GROUND not in tiles:
         return {}
     try:
-        source = tiles[KIND]["source"]
+        source = tiles[OWN_GROUND]["source"]
         total = sum(tile["proportion"] for tile in tiles.values())
         return {
             "scene": Path(source["file"]),
             "scene_width": float(source["width"]),
             "scene_height": float(source["height"]),
-            "scene_share": tiles[KIND]["proportion"] / total,
+            "scene_share": tiles[OWN_GROUND]["proportion"] / total,
         }
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise RenetError(

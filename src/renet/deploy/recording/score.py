@@ -20,7 +20,7 @@ from renet.deploy.robots.base import heading
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError, install
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, OWN_GROUND
 from renet.palette import STATES
 from renet.selector.selector import BLIND, REMEMBERS, SEES
 
@@ -198,7 +198,7 @@ def sunk_in_gap(run: Recording) -> np.ndarray:
     """Mask [T] of ticks at which a simulated robot is in the gap of its tile."""
     ticks = run.ticks
     level = run.header.get("level")
-    on_gap = run.header.get("terrain") == "gap" and not run.header.get("scene")
+    on_gap = run.header.get("terrain") == "gap"
     if not isinstance(level, int) or not on_gap or not len(ticks) or not simulated(ticks):
         return np.zeros(len(ticks), bool)
     # Needs MuJoCo, which may not be installed on a robot.
@@ -221,7 +221,7 @@ def _crossing(run: Recording, path: np.ndarray, sunk: bool) -> str:
         sunk: True if it was in the tile's gap.
     """
     terrain = run.header.get("terrain")
-    if not terrain or terrain == "flat" or not simulated(run.ticks):
+    if not terrain or terrain in ("flat", OWN_GROUND) or not simulated(run.ticks):
         return ""
     # Needs MuJoCo, which may not be installed on a robot.
     from renet.terrain.tiles import TILE

@@ -31,8 +31,8 @@ from renet.evaluation.studies.one_try import NEAREST, START_YAW
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FaultSchedule, parse_fault
-from renet.interface import CONTROL_DT, Terrain
-from renet.terrain.own_ground import KIND, GroundFile, OwnScene
+from renet.interface import CONTROL_DT, OWN_GROUND, Terrain
+from renet.terrain.own_ground import GroundFile, OwnScene
 from renet.terrain.tiles import LEVELS, Tile, tiles
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ SIZE_LABELS = {
     "stairs_down": "riser of stairs down",
     "obstacles": "height of blocks",
     "rough": "relief",
-    KIND: "relief of your own ground",
+    OWN_GROUND: "relief of your own ground",
 }
 """Name of the size that grows with the level, by kind of tile."""
 
@@ -104,8 +104,8 @@ class TerrainStudy(WalkingStudy):
         _ = self.schedule
         # The dataclass is frozen, and a ground of one's own replaces the kinds of tile.
         if self.scene is not None:
-            object.__setattr__(self, "kinds", (KIND,))
-            if isinstance(self.tiles[KIND], OwnScene):
+            object.__setattr__(self, "kinds", (OWN_GROUND,))
+            if isinstance(self.tiles[OWN_GROUND], OwnScene):
                 object.__setattr__(self, "levels", (LEVELS,))
 
     @property
@@ -113,7 +113,7 @@ class TerrainStudy(WalkingStudy):
         """Every kind of tile in the study's sizes, or the user's own ground alone."""
         if self.scene is not None:
             ground = GroundFile(file=self.scene, width=self.scene_width, height=self.scene_height)
-            return {KIND: ground.tile()}
+            return {OWN_GROUND: ground.tile()}
         kinds = tiles()
         for kind, (low, high) in self.sizes.items():
             kinds[kind] = replace(kinds[kind], low=low, high=high)
