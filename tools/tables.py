@@ -44,6 +44,7 @@ LEADERBOARD = (
     "oracle_withholds",
     "gate",
     "gate_withholds",
+    "return",
     "go2-parkour",
     "playground",
     "himloco",

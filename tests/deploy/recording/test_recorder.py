@@ -210,7 +210,7 @@ def test_a_flipped_bit_ends_the_flight_there(recorded, tmp_path):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"once", "not a recording: those are MCAP files"),
+        (b"once", "not a recording: give an MCAP file"),
         (b"RENETLOG4\n" + bytes(9), r"a recording of renet 0\.1: only that version reads it"),
         (b"RENETLOG5\n" + bytes(9), r"between renet 0\.1 and MCAP: only that version reads it"),
         (b"RENETLOG", "a recording of an earlier renet: only that version reads it"),
