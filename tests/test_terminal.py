@@ -22,10 +22,14 @@ class Screen:
     def read(self) -> str:
         """All that it was sent; it ends here."""
         self._stream.write("end")
+        self._stream.flush()
+        # A busy system hands it over in pieces.
+        sent = b""
+        while not sent.endswith(b"end"):
+            sent += os.read(self._ours, 100_000)
         self._stream.close()
-        text = os.read(self._ours, 100_000).decode().replace("\r\n", "\n")
         os.close(self._ours)
-        return text.removesuffix("end")
+        return sent.decode().replace("\r\n", "\n").removesuffix("end")
 
 
 def drawn(text: str) -> list[str]:
