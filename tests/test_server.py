@@ -14,6 +14,8 @@ import pytest
 from renet.errors import RenetError
 from renet.server import LOOPBACK, is_trusted, serve_folder, serve_scene
 
+pytestmark = pytest.mark.wall_clock
+
 ORIGINS = ("https://evil.example", "http://evil.example:{port}", "null", "https://{host}")
 HOSTS = ("evil.example", "127.0.0.1.evil.example", "evil@127.0.0.1.evil.example", "", "[")
 OWN = [

@@ -9,6 +9,8 @@ import pytest
 
 from renet.terminal import ERASE, Terminal
 
+pytestmark = pytest.mark.wall_clock
+
 
 class Screen:
     """A program's terminal."""

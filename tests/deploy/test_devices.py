@@ -23,6 +23,8 @@ from renet.folders import lock
 
 from .fakes import Standing
 
+pytestmark = pytest.mark.wall_clock
+
 CONNECTED: list[str] = []
 """Ports that drivers have connected to."""
 

@@ -25,6 +25,8 @@ from renet.selector.monitors import MONITORS
 
 from .fakes import state
 
+pytestmark = pytest.mark.wall_clock
+
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {name: (DOCS / f"{name}.md").read_text() for name in ("deploy", "memory", "robots")}
 PORT = f"usb{os.getpid()}"

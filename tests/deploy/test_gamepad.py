@@ -12,6 +12,8 @@ from renet.errors import RenetError
 
 from .pads import CODES, PLAYSTATION, UNNAMED, XBOX, plugged
 
+pytestmark = pytest.mark.wall_clock
+
 NAMES = ("ABS_X", "ABS_Y", "ABS_RX", "BTN_START", "BTN_SOUTH", "BTN_EAST")
 PROGRAM = """
 #include <stdio.h>

@@ -22,6 +22,8 @@ from renet.interface import CONTROL_DT
 
 from .fakes import ARM, BRISK, Standing, robot_on
 
+pytestmark = pytest.mark.wall_clock
+
 
 @pytest.fixture(scope="module")
 def bundle() -> Bundle:

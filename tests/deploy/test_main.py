@@ -36,6 +36,8 @@ from renet.robots import GO1, Motor, register_robot, robot
 
 from .fakes import BRISK
 
+pytestmark = pytest.mark.wall_clock
+
 NEEDS_DDS = pytest.mark.skipif(
     find_spec("cyclonedds") is None, reason="needs renet-locomotion[go2]"
 )

@@ -19,6 +19,8 @@ from renet.pilot import inference
 
 from .fakes import BRISK
 
+pytestmark = pytest.mark.wall_clock
+
 
 def scheduling(thread: int = 0) -> tuple[int, int]:
     """Policy and priority of a thread by the system's number, by default of the calling one."""

@@ -28,6 +28,8 @@ from tests.driven import driven_bundle
 from .fakes import until
 from .robots.dds import free_domain
 
+pytestmark = pytest.mark.wall_clock
+
 PUBLISHER = Path(__file__).with_name("ros2_publisher.py")
 SILENCE = Ros2Cfg.silence
 TOPICS = count()

@@ -19,6 +19,8 @@ from renet.evaluation.studies.memory import MemoryStudy
 
 from .counting import CountingEvaluator, CountingStudy
 
+pytestmark = pytest.mark.wall_clock
+
 
 def results(folder: Path) -> dict:
     """A summary without date and command."""

@@ -15,6 +15,8 @@ from renet.evaluation.play import PlayCfg, watching
 from renet.interface import CONTROL_DT
 from renet.robots import GO1
 
+pytestmark = pytest.mark.wall_clock
+
 
 @pytest.fixture
 def spec() -> mujoco.MjSpec:

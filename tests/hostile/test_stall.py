@@ -25,6 +25,8 @@ from renet.terminal import Terminal
 from ..deploy.fakes import QUICK, Standing, until
 from ..deploy.robots.peer import KINDS, Peer, make_peer
 
+pytestmark = pytest.mark.wall_clock
+
 CONTROLLER = """
 import ctypes, json, os, pkgutil, resource, signal, sys, time
 import numpy as np

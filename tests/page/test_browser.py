@@ -13,6 +13,8 @@ from renet.robots import GO2
 from tests.browser import compare, open_browser, watch
 from tests.page.conftest import served
 
+pytestmark = pytest.mark.wall_clock
+
 DESKTOP, PHONE = {"width": 1280, "height": 760}, {"width": 390, "height": 844}
 PARTS = (
     "h1",

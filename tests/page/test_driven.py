@@ -8,6 +8,8 @@ from renet.page.writer import WEB, PageCfg, write_page
 from tests.driven import driven_bundle
 from tests.page.conftest import run_node
 
+pytestmark = pytest.mark.wall_clock
+
 COMMANDS = {
     "ahead": (0.6, 0.0, 0.0),
     "back": (-0.6, 0.0, 0.0),

@@ -7,6 +7,8 @@ import pytest
 from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
+pytestmark = pytest.mark.wall_clock
+
 LOADS = 10
 
 

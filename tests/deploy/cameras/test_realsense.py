@@ -16,6 +16,8 @@ from renet.training.export import camera_spec
 
 from ..fakes import until
 
+pytestmark = pytest.mark.wall_clock
+
 NEEDS = "needs renet-locomotion[realsense] and libusb-1.0-0"
 rs = pytest.importorskip("pyrealsense2", reason=NEEDS, exc_type=ImportError)
 FOCAL = 446.8

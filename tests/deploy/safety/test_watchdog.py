@@ -13,6 +13,8 @@ from renet.deploy.main import RECORDING
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.safety.watchdog import HANGS, interruptible
 
+pytestmark = pytest.mark.wall_clock
+
 HANGING = """
 import hashlib, os, sys
 from renet.pilot.policy import BundlePolicy

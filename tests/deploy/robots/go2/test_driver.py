@@ -26,6 +26,8 @@ from renet.errors import RenetError
 from ...fakes import until
 from ..dds import free_domain
 
+pytestmark = pytest.mark.wall_clock
+
 PATIENT = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
 """How late a step is depends on how busy the computer is."""
 

@@ -17,6 +17,8 @@ from renet.errors import RenetError
 
 from ..dds import free_domain
 
+pytestmark = pytest.mark.wall_clock
+
 ALONE = """
 echo 1 > /proc/sys/net/ipv6/conf/default/disable_ipv6
 ip link set lo up

@@ -8,6 +8,8 @@ from renet.errors import RenetError
 
 from ...fakes import command, until
 
+pytestmark = pytest.mark.wall_clock
+
 
 def test_a_robot_is_read_commanded_and_braked_at_the_end(served):
     robot = served.make_driver(sink=0.3)

@@ -20,6 +20,8 @@ from renet.robots import GO1
 
 from ... import fakes
 
+pytestmark = pytest.mark.wall_clock
+
 
 class Wire(Link):
     """A link whose robot is a list, and which can fail; its controller ends after two exchanges."""
