@@ -81,9 +81,11 @@ def test_help_of_a_task_fits_a_screen_and_says_where_the_rest_is(capsys, monkeyp
 
 def test_a_bar_keeps_share_and_time_left_at_80_columns(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("FORCE_COLOR", "1")
     title = "12/29 intermittent_blackout on stairs_down, 280 robots"
     assert list(progress(range(3), title)) == [0, 1, 2]
-    bar = capsys.readouterr().err.splitlines()[-1]
+    plain = re.sub(r"\x1b\[[?\d;]*[A-Za-z]", "", capsys.readouterr().err)
+    bar = plain.splitlines()[-1].split("\r")[-1]
     assert re.fullmatch(rf"{title} .*100% 0:00:00 *", bar)
     assert len(bar) <= 80
 

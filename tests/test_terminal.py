@@ -1,4 +1,7 @@
-"""Lines and a status on a real pseudo-terminal, in a file, and where letters are missing."""
+"""Lines and a status on a real pseudo-terminal, in a file, and where letters are missing.
+
+Progress in a file is timed by a clock that is made up.
+"""
 
 import io
 import os
@@ -7,6 +10,7 @@ import sys
 
 import pytest
 
+from renet import terminal
 from renet.terminal import ERASE, Terminal
 
 pytestmark = pytest.mark.wall_clock
@@ -86,3 +90,76 @@ def test_a_letter_that_a_terminal_lacks_ends_nothing(monkeypatch):
     terminal.say("sees → blind")
     terminal.close()
     assert stream.buffer.getvalue() == b"a motor has more than 65 ?C\nsees ? blind\n"  # type: ignore[attr-defined]
+
+
+class Clock:
+    """Stands in for the module `time`."""
+
+    now = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(terminal, "time", clock)
+    monkeypatch.setattr(terminal, "_line_time", clock.now)
+    return clock
+
+
+def walk(clock: Clock, title: str, steps: int, seconds: float) -> None:
+    """Take steps of some seconds each."""
+    for _ in terminal.progress(range(steps), title):
+        clock.now += seconds
+
+
+def test_a_file_gets_a_line_of_progress_a_minute(clock, capsys):
+    walk(clock, "stairs", 26, 5.0)
+    assert capsys.readouterr().err.splitlines() == [
+        "stairs  12/26  0:01:10 left",
+        "stairs  24/26  0:00:10 left",
+    ]
+
+
+def test_short_walks_share_the_minute(clock, capsys):
+    for ground in ("flat", "stairs", "gap"):
+        walk(clock, ground, 5, 5.0)
+    assert capsys.readouterr().err == "gap  2/5  0:00:15 left\n"
+
+
+def test_a_run_is_timed_over_all_parts(clock, capsys):
+    log = terminal.ProgressLog(4)
+    for name, parts in (("a", 1), ("bc", 2), ("d", 1)):
+        with log.making(parts):
+            walk(clock, name, 4, 15.0 * parts)
+    assert capsys.readouterr().err.splitlines() == [
+        "parts 1/4  bc  0/4  0:03:00 left",
+        "parts 1/4  bc  2/4  0:02:00 left",
+        "parts 3/4  d  0/4  0:01:00 left",
+    ]
+    assert terminal._listener is None
+
+
+def test_jobs_share_a_log(clock, capsys):
+    log = terminal.ProgressLog(4)
+    clock.now += 60.0
+    log.tell("a", 0, 2, job=1)
+    log.finish(1, job=1)
+    log.tell("b", 1, 2, job=1)
+    clock.now += 60.0
+    log.tell("c", 1, 2, job=2)
+    assert capsys.readouterr().err.splitlines() == [
+        "parts 0/4  a  0/2  -:--:-- left",
+        "parts 1/4  c  1/2  0:02:00 left",
+    ]
+
+
+def test_a_terminal_gets_a_bar_and_no_lines(clock, capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with terminal.ProgressLog(2).making(1):
+        walk(clock, "stairs", 3, 60.0)
+    shown = capsys.readouterr().err
+    assert "100%" in shown
+    assert "left" not in shown

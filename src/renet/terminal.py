@@ -1,9 +1,13 @@
 """Progress bars, tables, and lines printed by a thread, so that a terminal cannot stall a robot."""
 
+import math
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from datetime import timedelta
+from functools import partial
 from queue import Full, Queue
 from shutil import get_terminal_size
 from typing import Any, TypeVar
@@ -90,6 +94,10 @@ def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> No
 Listener = Callable[[str, int, int], None]
 """Function of a title, the number of steps done, and the number of all steps."""
 _listener: Listener | None = None
+LINE_EVERY = 60.0
+"""Time between two lines of progress where standard error is no terminal, s."""
+_line_time = time.monotonic()
+"""Time of the latest line of progress, or of the program's start, s."""
 
 
 def tell_progress(listener: Listener) -> None:
@@ -99,10 +107,21 @@ def tell_progress(listener: Listener) -> None:
 
 
 def progress(steps: Sequence[_Step], title: str) -> Iterable[_Step]:
-    """Iterate over steps, with a bar on standard error that shows the time left."""
+    """Iterate over steps, and show on standard error how many are done and the time left.
+
+    A terminal shows a bar; a file or a pipe gets a line a minute.
+    """
     if _listener is not None:
         return _told(steps, title, _listener)
-    return track(steps, f"{title:<24}", console=Console(stderr=True))
+    if shows_bars():
+        return track(steps, f"{title:<24}", console=Console(stderr=True))
+    return _told(steps, title, ProgressLog().tell)
+
+
+def shows_bars() -> bool:
+    """Return True if standard error is a terminal or a notebook, which can redraw a bar."""
+    console = Console(stderr=True)
+    return console.is_terminal or console.is_jupyter
 
 
 def _told(steps: Sequence[_Step], title: str, listener: Listener) -> Iterator[_Step]:
@@ -110,3 +129,80 @@ def _told(steps: Sequence[_Step], title: str, listener: Listener) -> Iterator[_S
     for done, step in enumerate(steps):
         listener(title, done, len(steps))
         yield step
+
+
+class ProgressLog:
+    """Lines on standard error about the parts of a run, at most one a minute in the program.
+
+    They are for files and pipes, where a bar that is redrawn all the time would be noise.
+    """
+
+    def __init__(self, parts: int = 1) -> None:
+        """Initialize the log when the run begins.
+
+        Args:
+            parts: Number of the run's parts, each of which has steps. Only several are counted in
+                the lines.
+        """
+        self._parts = parts
+        self._finished = 0
+        # Work of each job since it finished its latest parts, in parts.
+        self._under_way: dict[int, float] = {}
+        self._start = time.monotonic()
+
+    def tell(self, title: str, done: int, total: int, job: int = 0, parts: int = 1) -> None:
+        """Print a line if the latest is a minute old.
+
+        Args:
+            title: Title of the parts that are being made.
+            done: Number of their steps that are done.
+            total: Number of all their steps.
+            job: Number of the process that makes them.
+            parts: Number of parts that these steps make.
+        """
+        global _line_time
+        self._under_way[job] = parts * done / total
+        now = time.monotonic()
+        if now - _line_time < LINE_EVERY:
+            return
+        _line_time = now
+        facts = [title, f"{done}/{total}", f"{time_text(self._time_left(now))} left"]
+        if self._parts > 1:
+            facts.insert(0, f"parts {self._finished}/{self._parts}")
+        print(printable("  ".join(facts)), file=sys.stderr)
+
+    def finish(self, parts: int, job: int = 0) -> None:
+        """Count parts that a job has made."""
+        self._finished += parts
+        self._under_way[job] = 0.0
+
+    @contextmanager
+    def making(self, parts: int) -> Iterator[None]:
+        """Tell of all progress within the block, which makes some parts in this process.
+
+        On a terminal the block shows its bars.
+        """
+        global _listener
+        before = _listener
+        if before is None and not shows_bars():
+            _listener = partial(self.tell, parts=parts)
+        try:
+            yield
+        finally:
+            _listener = before
+        self.finish(parts)
+
+    def _time_left(self, now: float) -> float:
+        """Estimate the time until all parts are made, s; infinity while nothing is done."""
+        done = self._finished + sum(self._under_way.values())
+        if done == 0.0:
+            return math.inf
+        return (now - self._start) * (self._parts - done) / done
+
+
+def time_text(seconds: float) -> str:
+    """Format a duration as hours, minutes and seconds; dashes if it is unknown, infinity."""
+    # A timedelta holds at most nine digits of days.
+    if seconds >= 1e9:
+        return "-:--:--"
+    return str(timedelta(seconds=math.ceil(seconds)))

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import threading
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from renet import cli
+from renet import cli, terminal
 from renet.errors import RenetError
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.memory import MemoryStudy
@@ -20,6 +21,9 @@ from renet.evaluation.studies.memory import MemoryStudy
 from .counting import CountingEvaluator, CountingStudy
 
 pytestmark = pytest.mark.wall_clock
+
+TOLD = r"parts [0-5]/5  [a-e]  [0-3]/3  [0-9-]+:[0-9-]{2}:[0-9-]{2} left"
+"""Line of progress in a file."""
 
 
 def results(folder: Path) -> dict:
@@ -34,9 +38,12 @@ def made(folder: Path) -> dict[str, dict]:
     return {p.name[0]: json.loads(p.read_text()) for p in (folder / "parts").glob("?-*.json")}
 
 
-def test_jobs_share_parts_and_processors_and_write_what_one_run_writes(tmp_path, capsys):
+def test_jobs_share_parts_and_processors_and_write_what_one_run_writes(
+    tmp_path, capsys, monkeypatch
+):
     one, two = (CountingStudy(tmp_path / name, jobs=n) for name, n in (("one", 1), ("two", 2)))
     one.main()
+    monkeypatch.setattr(terminal, "LINE_EVERY", 0.0)
     two.main()
     assert results(tmp_path / "one") == results(tmp_path / "two")
     assert not {"jobs", "shard"} & results(tmp_path / "two")["settings"].keys()
@@ -48,7 +55,9 @@ def test_jobs_share_parts_and_processors_and_write_what_one_run_writes(tmp_path,
     assert set.union(*cpus.values()) <= os.sched_getaffinity(0)
     if len(cpus) == 2 <= len(os.sched_getaffinity(0)):
         assert not set.intersection(*cpus.values())
-    assert "parts" in capsys.readouterr().err
+    lines = capsys.readouterr().err.splitlines()
+    assert [line for line in lines if not re.fullmatch(TOLD, line)] == []
+    assert lines
     two.main()
     assert made(tmp_path / "two") == parts, "what had finished was made again"
     assert not multiprocessing.active_children()

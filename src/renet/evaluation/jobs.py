@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 
 from renet.errors import RenetError
-from renet.terminal import tell_progress
+from renet.terminal import ProgressLog, shows_bars, tell_progress
 
 _NEWS_INTERVAL = 0.2
 """Shortest time between two messages about a part's progress, s."""
@@ -90,8 +90,11 @@ def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int
         raise RenetError(f"--jobs needs a study that other processes can import: {error}") from None
     waiting = list(groups)
     running: list[Job] = []
-    with Progress(console=Console(stderr=True)) as bars, _terminating(running):
-        whole = bars.add_task(f"{'parts':<24}", total=sum(map(len, groups)))
+    count = sum(map(len, groups))
+    log = ProgressLog(count)
+    bars = Progress(console=Console(stderr=True), disable=not shows_bars())
+    with bars, _terminating(running):
+        whole = bars.add_task(f"{'parts':<24}", total=count)
         for processors in _shares(jobs):
             bar = bars.add_task(f"{'starting':<24}", total=None)
             running.append(Job(*_start(study_bytes, processors), bar))
@@ -103,9 +106,12 @@ def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int
                 if isinstance(news, ProgressMessage):
                     title = f"{news.title:<24}"
                     bars.update(job.bar, description=title, completed=news.done, total=news.total)
+                    if bars.disable:
+                        log.tell(news.title, news.done, news.total, job.bar, len(job.parts))
                     continue
                 # The job is ready for its next parts; an empty list ends it.
                 bars.advance(whole, len(job.parts))
+                log.finish(len(job.parts), job.bar)
                 job.parts = waiting.pop(0) if waiting else ()
                 job.connection.send(job.parts)
                 if not job.parts:

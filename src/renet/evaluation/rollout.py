@@ -171,7 +171,7 @@ class Rollout:
 
         Args:
             steps: number of control steps.
-            title: title of the progress bar.
+            title: title of the progress.
             until_ended: number of control steps after which the run ends as soon as every robot's
                 first try is over; None: it always runs for `steps`.
             retire: True to stop simulating robots whose first try is over. The trace of a retired

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
@@ -40,7 +39,7 @@ from renet.evaluation.rollout import (
 )
 from renet.interface import Engine
 from renet.motor_models import IDEAL, motors_key
-from renet.terminal import show
+from renet.terminal import ProgressLog, show
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -245,8 +244,11 @@ class Study:
         if jobs > 1:
             make_parts(self, groups, jobs)
             return
-        for name in chain(*groups):
-            make(name)
+        log = ProgressLog(sum(map(len, groups)))
+        for names in groups:
+            with log.making(len(names)):
+                for name in names:
+                    make(name)
 
     def main(self) -> str | None:
         """Run the study and print its tables, or the number of missing parts after a shard."""

@@ -97,7 +97,7 @@ def pictures(
     steps: Sequence[int] = (),
     goal: float = np.inf,
 ) -> Iterator[np.ndarray]:
-    """Pictures of a film, [height, width, 3] uint8 each, with a progress bar; see `film`."""
+    """Pictures of a film, [height, width, 3] uint8 each, with progress shown; see `film`."""
     assert trace.film is not None
     poses = trace.film.poses
     robots = list(titles)

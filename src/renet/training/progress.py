@@ -3,7 +3,6 @@
 import math
 import time
 from collections import deque
-from datetime import timedelta
 from typing import Self
 
 from rich.console import Console, Group
@@ -12,11 +11,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from renet.terminal import LINE_EVERY, time_text
 from renet.training.metrics import LEVEL
 from renet.training.runner import RenetRunner
 
-LINE_EVERY = 60.0
-"""Time between two lines without a terminal, s."""
 RECENT = 20
 """Number of recent iterations from which the remaining time is estimated; batches grow, so that
 older ones were faster."""
@@ -102,10 +100,7 @@ class Report:
         facts.append(f"{algorithm.steps / 1e6:.2f} M steps")
         if SPEED_CURVE in self._latest:
             facts.append(f"{self._latest[SPEED_CURVE]:,.0f} steps/s")
-        remaining = self._remaining_time()
-        # A timedelta holds at most nine digits of days.
-        duration = timedelta(seconds=math.ceil(remaining)) if remaining < 1e9 else "-:--:--"
-        facts.append(f"{duration} left")
+        facts.append(f"{time_text(self._remaining_time())} left")
         return facts
 
     def _levels(self) -> str:

@@ -344,7 +344,7 @@ def walk_episodes(
         episodes: episodes of the block, [N].
         modes: the rollout's mode of each entry, by the entry's name; `HEALTHY` meets no fault.
         seed: seed of bodies, starts, noise and pushes.
-        title: title of the progress bar.
+        title: title of the progress.
         sealed: the sealed families, if episodes have faults of theirs.
 
     Returns:

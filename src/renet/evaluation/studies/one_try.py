@@ -53,7 +53,7 @@ class OneTryStudy(WalkingStudy):
             evaluator: evaluator of the policy.
             task: task with the trials' grounds, see `Evaluator.make_env`.
             trials: one for each robot.
-            title: title of the progress bar.
+            title: title of the progress.
             until_ended: number of control steps after which the run ends as soon as all first tries
                 are over.
             retire: True to stop simulating robots whose first try is over.
@@ -101,7 +101,7 @@ class LevelStudy(OneTryStudy):
         return parts
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
-        """Walk on one ground and return its part; the title is that of the progress bar."""
+        """Walk on one ground and return its part; the title is that of the progress."""
         raise NotImplementedError
 
     def by_ground(self, parts: Mapping[str, Part]) -> dict[str, Part]:
