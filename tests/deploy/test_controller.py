@@ -90,7 +90,7 @@ def test_it_rises_and_then_walks(run):
     assert decision.mode is Mode.STANDING_UP
     assert not decision.action.any()
     assert not any((decision.vision, decision.inferred, decision.fallback))
-    run.tick(joint_position=crouched)
+    run.tick(frame(run.step, time_of(run.step)), joint_position=crouched)
     begun = [(time_of(1), "standing_up", "armed"), (time_of(WALKS_AT), "walking", "stood up")]
     assert run.events == [Event(*words) for words in begun]
     assert run.controller.decision.mode is Mode.WALKING

@@ -172,7 +172,7 @@ def test_a_step_that_is_missed_is_left_out(bundle):
 def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     flight = Rig(bundle).fly(3.0, tmp_path, camera=False)
     # It has seen no ground at all.
-    whats = ["standing_up", "remembers", "walking", "blind", "unseen", "damping"]
+    whats = ["standing_up", "blind", "walking", "unseen", "damping"]
     assert [event.what for event in flight.events] == whats
     assert not flight.ticks["vision"].any()
 

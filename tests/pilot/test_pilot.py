@@ -139,6 +139,29 @@ def test_without_a_camera_it_walks_blind(shipped):
         assert np.isfinite(step.joint_target).all()
 
 
+@pytest.mark.parametrize("mode", PILOT_MODES)
+def test_a_walk_that_begins_without_an_image_says_why_it_is_blind(shipped, mode):
+    pilot = Pilot.of(shipped, mode=mode)
+    told = []
+    for number in range(120):
+        image = ground(number % 100) if number >= 30 and number % STEPS_PER_TICK == 0 else None
+        step = pilot.step(observed(number % 100), image, number * CONTROL_DT)
+        told.append((str(step.state[0]), str(step.reason[0])))
+    waits = ("blind", "no image has come yet")
+    catches_up = ("blind", "it began without an image")
+    expected = {
+        "memory": [waits, catches_up, ("sees", "")],
+        "switch": [waits, catches_up, ("sees", "")],
+        "camera": [waits, ("sees", "")],
+        "blind": [("blind", "the mode blind uses no images")],
+    }
+    assert list(dict.fromkeys(told)) == expected[mode]
+    assert mode == "blind" or told[29:31] != [waits, waits]
+    pilot.reset()
+    first = pilot.step(observed(0), ground(0), 0.0)
+    assert mode == "blind" or (first.state[0], first.reason[0]) == ("sees", "")
+
+
 def test_an_image_between_two_ticks_is_seen_in_the_next(shipped):
     pilot = Pilot.of(shipped)
     for number in range(16):
@@ -182,6 +205,37 @@ def test_wrong_input_is_refused_in_one_line_and_changes_nothing(
     assert "\n" not in str(refused.value)
     after = [one.step(STILL, ground(0), 0.02) for one in (pilot, untouched)]
     np.testing.assert_array_equal(after[0].action, after[1].action)
+
+
+@pytest.mark.parametrize(
+    ("now", "message"),
+    [
+        (0.98, "the time now is 0.980 s, expected at least the 1.000 s of the step before"),
+        (np.nan, "the time now is nan, expected a finite number of seconds"),
+        (np.inf, "the time now is inf, expected a finite number of seconds"),
+    ],
+)
+def test_time_that_runs_back_is_refused_and_changes_nothing(shipped, now, message):
+    pilot = Pilot.of(shipped)
+    untouched = Pilot.of(shipped)
+    for one in (pilot, untouched):
+        one.step(observed(0), ground(0), 1.0)
+    with pytest.raises(RenetError, match=message) as refused:
+        pilot.step(observed(1), ground(5), now)
+    assert "\n" not in str(refused.value)
+    after = [one.step(observed(1), None, 1.02) for one in (pilot, untouched)]
+    np.testing.assert_array_equal(after[0].action, after[1].action)
+
+
+def test_time_may_stand_still_and_begin_anew_after_a_reset(shipped):
+    pilot = Pilot.of(shipped)
+    for now in (1.0, 1.0, 1.02):
+        pilot.step(STILL, ground(0), now)
+    pilot.reset(np.ones(1, bool))
+    with pytest.raises(RenetError, match="reset"):
+        pilot.step(STILL, ground(0), 0.0)
+    pilot.reset()
+    pilot.step(STILL, ground(0), 0.0)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ The mode of a robot says how this is decided:
 | blind | never | none is used |
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self, get_args
@@ -60,6 +61,12 @@ TURN_RATE_SCALE = PROPRIOCEPTION[0].scale
 """Scale of the turn rate in an observation."""
 NO_NUMBERS = "what the VP estimator found is not finite"
 """Reason of a robot whose VP has results that are not finite."""
+NO_IMAGE = "no image has come yet"
+"""Reason of a robot that has never had an image."""
+BEGAN_WITHOUT = "it began without an image"
+"""Reason of a robot that has images now, and has not seen since it began without."""
+USES_NONE = "the mode blind uses no images"
+"""Reason of a robot in the mode blind."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +83,8 @@ class Step:
     """State of each robot from now on, [N]: `sees`, `remembers` (VP drives without images) or
     `blind` (OP drives)."""
     reason: np.ndarray
-    """Reason of the first monitor that objected since the robot saw, [N] text; empty while it
-    sees."""
+    """Reason why each robot does not see, [N] text: that of the first monitor that objected since
+    it saw, or why it was blind from the first step on. Empty while it sees."""
     unseen: np.ndarray
     """True where the command leads to ground that the robot has not seen, [N] bool."""
     inferred: bool
@@ -154,6 +161,10 @@ class Pilot:
         """True where an image has arrived since the newest tick, [N] bool."""
         self._camera = ImageHolder(robots)
         self._steps = 0
+        self._imageless = np.zeros(robots, bool)
+        """True where a robot has not seen since it began without an image, [N] bool."""
+        self._now = -math.inf
+        """Time of the newest `step`, s."""
 
         # Conduct at the end of the ground that robots have seen.
         conducts = [unseen] * robots if isinstance(unseen, str) else list(unseen)
@@ -209,24 +220,27 @@ class Pilot:
             image: Depth images that have just been taken, [N, 48, 64] in [0, 1]; None if no new one
                 has arrived since the last step, or without a camera. `Images` also hold ages and
                 other facts of the images.
-            now: Time on any clock, s. While it stands still or runs backwards, nothing is judged.
+            now: Time on any clock, s. While it stands still, nothing is judged.
 
         Raises:
-            RenetError: An input has another shape, is not finite, or depth is outside [0, 1]. The
-                pilot is then unchanged.
+            RenetError: An input has another shape, is not finite, depth is outside [0, 1], or time
+                runs backwards without a `reset` of all robots. The pilot is then unchanged.
         """
         policy: Any = self.policy
+        self._check_time(now)
         observation = checked(observation, "observation", (self.num_robots, PROPRIOCEPTION_SIZE))
         images = image if isinstance(image, Images) else self._hold(image, now)
+        self._now = now
         tick = self.due
         action = self.act(observation, images)
         self.judge(self.seen(images), now)
+        state = self._state(images)
         return Step(
             joint_target=policy.joint_target(action),
             action=action,
             vision=self.vision,
-            state=self._state(images),
-            reason=np.where(self._obeys, self._obeyed("reason"), ""),
+            state=state,
+            reason=self._reason(images, state),
             unseen=self.unseen,
             inferred=policy.inferred,
             fallback=tick and policy.fallback,
@@ -235,10 +249,11 @@ class Pilot:
     def reset(self, mask: np.ndarray | None = None) -> None:
         """Forget the past of the masked robots, [N] bool, and trust vision; by default of all.
 
-        A reset of all robots also restarts the 10 Hz clock and forgets the images.
+        A reset of all robots also restarts the 10 Hz clock and forgets the images and the time.
         """
         if mask is None:
             self._steps = 0
+            self._now = -math.inf
             self._camera = ImageHolder(self.num_robots)
         self.policy.reset(mask)
         for selector in self.selectors.values():
@@ -246,6 +261,7 @@ class Pilot:
         robots = np.ones(self.num_robots, bool) if mask is None else np.asarray(mask, bool)
         self.trusted = self.trusted | robots
         self._arrived = self._arrived & ~robots
+        self._imageless = self._imageless & ~robots
         self.reach.reset(robots)
         self.unseen = self.unseen & ~robots
 
@@ -374,6 +390,16 @@ class Pilot:
         observation[:, COMMAND_SLICE] = slowed(command, manifest.told, limit)
         return observation
 
+    def _check_time(self, now: float) -> None:
+        """Raise RenetError unless time is finite, and not before that of the newest step."""
+        if not math.isfinite(now):
+            raise RenetError(f"the time now is {now}, expected a finite number of seconds")
+        if now < self._now:
+            raise RenetError(
+                f"the time now is {now:.3f} s, expected at least the {self._now:.3f} s of the step"
+                " before: use one clock, and reset() the pilot where it begins anew"
+            )
+
     def _hold(self, image: np.ndarray | None, now: float) -> Images:
         """Check and keep images [N, 48, 64] that have just been taken, if there are any."""
         if image is not None:
@@ -397,10 +423,24 @@ class Pilot:
 
     def _state(self, images: Images) -> np.ndarray:
         """Return the state of each robot, [N]: sees, remembers or blind."""
+        # Before the first image OP drives all robots, also those that their selector still trusts.
+        if images.image is None:
+            return np.full(self.num_robots, BLIND)
         # Robots in the modes camera and blind obey no selector.
-        always = SEES if images.image is not None else BLIND
-        disobedient = np.where(self._always, always, BLIND)
+        disobedient = np.where(self._always, SEES, BLIND)
         return np.where(self._obeys, self._obeyed("state"), disobedient)
+
+    def _reason(self, images: Images, state: np.ndarray) -> np.ndarray:
+        """Return the reason why each robot is not in the state `sees`, [N] text."""
+        if images.image is None:
+            self._imageless[:] = True
+            beginning = NO_IMAGE
+        else:
+            self._imageless = self._imageless & (state != SEES)
+            beginning = BEGAN_WITHOUT
+        reason = np.where(self._obeys, self._obeyed("reason"), "")
+        reason = np.where(self._imageless, beginning, reason)
+        return np.where(self.modes == "blind", USES_NONE, reason)
 
     def _obeyed(self, attribute: str) -> np.ndarray:
         """Return an attribute, [N], of the selector that each robot obeys."""
