@@ -2,14 +2,17 @@
 
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from PIL import Image
 
-from renet.curves import CURVES, read_curves
+from renet.curves import CURVES, LEVEL, STEPS, read_curves
 from renet.errors import RenetError
-from renet.training.metrics import CurvesWriter, write_run_report
+from renet.training.metrics import PANELS, CurvesWriter, write_run_report
 
 from .conftest import ToyEnv, make_runner
 
@@ -52,6 +55,51 @@ def test_the_only_iteration_of_a_run_can_be_seen(tmp_path):
     writer.add_scalar("Train/mean_reward", 3.0, 0)
     writer.stop()
     assert ink(tmp_path) > 8
+
+
+def drawn_axes(folder: Path, monkeypatch) -> dict[str, Axes]:
+    """Panels that the figure shows, by title."""
+    with monkeypatch.context() as patch:
+        saved = Mock()
+        patch.setattr(Figure, "savefig", lambda figure, *args, **options: saved(figure))
+        write_run_report(folder)
+    ((figure,),) = [call.args for call in saved.call_args_list]
+    return {axis.get_title(): axis for axis in figure.axes if axis.axison}
+
+
+def test_curves_over_steps_without_empty_panels(tmp_path, monkeypatch):
+    writer = CurvesWriter(str(tmp_path), "tensorboard", "")
+    # Batches grow, and iterations end without a finished episode.
+    for iteration, steps in ((0, 1e6), (1, 2e6), (3, 6e6)):
+        writer.add_scalar(STEPS, steps, iteration)
+    for iteration in range(4):
+        writer.add_scalar("Train/mean_reward", 2.0, iteration)
+        for kind in ("gap", "rough"):
+            writer.add_scalar(f"{LEVEL}{kind}", 1.0, iteration)
+    writer.stop()
+    axes = drawn_axes(tmp_path, monkeypatch)
+    assert list(axes) == ["reward per episode", "terrain level"]
+    for axis in axes.values():
+        assert axis.get_xlabel() == "million steps"
+        for line in axis.lines:
+            np.testing.assert_allclose(np.asarray(line.get_xdata()), [1.0, 2.0, 4.0, 6.0])
+    assert [text.get_text() for text in axes["terrain level"].get_legend().texts] == [
+        "gap",
+        "rough",
+    ]
+
+
+@pytest.mark.parametrize("count", [5, 16])
+def test_panels_fill_their_rows(tmp_path, monkeypatch, count):
+    writer = CurvesWriter(str(tmp_path), "tensorboard", "")
+    for _, pattern in PANELS[:count]:
+        writer.add_scalar(f"{pattern}gap" if isinstance(pattern, str) else pattern[0], 1.0, 0)
+    writer.stop()
+    axes = drawn_axes(tmp_path, monkeypatch)
+    assert len(axes) == count
+    grid = next(iter(axes.values())).get_gridspec()
+    assert (grid.nrows, grid.ncols) == {5: (2, 3), 16: (4, 4)}[count]
+    assert {axis.get_xlabel() for axis in axes.values()} == {"iteration"}, "it counts no steps"
 
 
 def test_curves_go_to_wandb(tmp_path, monkeypatch):

@@ -3,18 +3,21 @@
 import csv
 import io
 import json
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rsl_rl.utils.log_writer import LogWriter
 from torch.utils.tensorboard import SummaryWriter
 
-from renet.curves import CURVES, LEVEL, read_curves
+from renet.curves import CURVES, LEVEL, STEPS, read_curves
 from renet.errors import RenetError, reason
 from renet.files import append, write_atomically
 from renet.interface import CONSTRAINTS
@@ -44,6 +47,8 @@ PANELS = (
 """Titles of the figure's panels, and their curves: a tuple of names, or a prefix of names."""
 FEW_ITERATIONS = 20
 """Number of iterations up to which each is a point, because a line through one is invisible."""
+MOST_COLUMNS = 4
+"""Largest number of panels side by side."""
 PAST_WEIGHT = 0.9
 """Weight of past values in the figure's exponential moving averages."""
 
@@ -137,26 +142,64 @@ def write_run_report(run: Path) -> Path:
         Path of the figure.
     """
     curves = read_curves(run / CURVES)
-    figure = Figure(figsize=(16, 12), layout="constrained")
+    smooth = {}
+    for name, values in curves.items():
+        smooth[name] = dict(zip(sorted(values), _averages(values), strict=True))
+    panels = _filled_panels(sorted(curves))
+    # At least one place, for a run that ended at once.
+    rows = math.ceil(max(len(panels), 1) / MOST_COLUMNS)
+    columns = math.ceil(max(len(panels), 1) / rows)
+    figure = Figure(figsize=(4.0 * columns, 3.0 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).flat
     last = {}
-    for axis, (title, pattern) in zip(figure.subplots(4, 4).flat, PANELS, strict=True):
-        names = [name for name in sorted(curves) if _belongs(name, pattern)]
-        for name in names:
-            iterations = sorted(curves[name])
-            values = [curves[name][iteration] for iteration in iterations]
-            smooth = list(accumulate(values, _smooth))
-            last[name] = smooth[-1]
-            marker = "o" if len(iterations) <= FEW_ITERATIONS else ""
-            axis.plot(iterations, smooth, marker=marker, markersize=4, label=name.split("/")[-1])
-        axis.set(title=title, xlabel="iteration")
-        axis.grid(alpha=0.3)
-        if len(names) > 1:
-            axis.legend(fontsize=7)
+    for axis, (title, names) in zip(axes, panels.items(), strict=False):
+        _draw_panel(axis, {name: smooth[name] for name in names}, curves.get(STEPS, {}))
+        axis.set_title(title)
+        last |= {name: list(smooth[name].values())[-1] for name in names}
+    # The last row may still have more places than panels.
+    for axis in list(figure.axes)[len(panels) :]:
+        axis.set_axis_off()
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=70)
     write_atomically(run / "curves.png", picture.getvalue(), "report")
     write_atomically(run / "report.json", (json.dumps(last, indent=1) + "\n").encode(), "report")
     return run / "curves.png"
+
+
+def _filled_panels(curves: Sequence[str]) -> dict[str, list[str]]:
+    """Return the names of each panel's curves, by the panel's title, without empty panels."""
+    panels = {}
+    for title, pattern in PANELS:
+        names = [name for name in curves if _belongs(name, pattern)]
+        if names:
+            panels[title] = names
+    return panels
+
+
+def _draw_panel(
+    axis: Axes, curves: Mapping[str, Mapping[int, float]], steps: Mapping[int, float]
+) -> None:
+    """Draw curves, of values by iteration.
+
+    Args:
+        axis: Panel to draw in.
+        curves: Values by iteration, by the curve's name.
+        steps: Environment steps by iteration, which are the x-axis. A task without them has
+            iterations there.
+    """
+    for name, values in curves.items():
+        iterations = list(values)
+        places = iterations
+        if steps:
+            known = sorted(steps)
+            places = np.interp(iterations, known, [steps[i] / 1e6 for i in known])
+        marker = "o" if len(iterations) <= FEW_ITERATIONS else ""
+        label = name.split("/")[-1]
+        axis.plot(places, list(values.values()), marker=marker, markersize=4, label=label)
+    axis.set_xlabel("million steps" if steps else "iteration")
+    axis.grid(alpha=0.3)
+    if len(curves) > 1:
+        axis.legend(fontsize=7)
 
 
 def _belongs(name: str, pattern: str | tuple[str, ...]) -> bool:
@@ -166,6 +209,7 @@ def _belongs(name: str, pattern: str | tuple[str, ...]) -> bool:
     return name in pattern
 
 
-def _smooth(average: float, value: float) -> float:
-    """Advance an exponential moving average."""
-    return PAST_WEIGHT * average + (1.0 - PAST_WEIGHT) * value
+def _averages(values: Mapping[int, float]) -> Iterator[float]:
+    """Return the exponential moving averages of a curve, given by iteration, in their order."""
+    ordered = [values[iteration] for iteration in sorted(values)]
+    return accumulate(ordered, lambda past, value: PAST_WEIGHT * past + (1 - PAST_WEIGHT) * value)
