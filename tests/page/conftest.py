@@ -13,6 +13,8 @@ from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.interface import PROPRIOCEPTION
 from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
+from tests.browser import open_browser
+from tests.page.visit import DESKTOP, PHONE, Visit
 
 
 def run_node(script: str, *arguments: object):
@@ -71,3 +73,27 @@ def address(page: Path) -> Iterator[str]:
     """Where the page is served."""
     with served(page) as address:
         yield address
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with open_browser() as browser:
+        yield browser
+
+
+@pytest.fixture
+def visit(browser, address):
+    """Makes visits, each in a window of its own, and ends them without a complaint."""
+    visits: list[Visit] = []
+
+    def make(
+        query: str = "", size: dict[str, int] = DESKTOP, at: str = address, scheme: str = "light"
+    ) -> Visit:
+        context = browser.new_context(viewport=size, has_touch=size == PHONE, color_scheme=scheme)
+        visits.append(Visit(context.new_page(), at + query))
+        return visits[-1]
+
+    yield make
+    for one in visits:
+        one.page.context.close()
+        assert one.complaints == []

@@ -1,0 +1,89 @@
+"""The page in a real browser: it tells its story, and a visitor tells his own."""
+
+import numpy as np
+import pytest
+
+from renet.palette import UNSEEN_AHEAD, UNSEEN_COLOUR, rgb
+from tests.page.visit import DESKTOP, NEWS, PARTS, PHONE
+
+pytestmark = pytest.mark.wall_clock
+
+
+def test_a_link_tells_a_story_from_fault_to_outcome(visit, address):
+    story = visit("?ground=gap&fault=gaussian&severity=5").load()
+    story.ask(
+        """const { page } = renetPage, apply = page.apply.bind(page);
+        page.apply = (fault) => {
+          renetPage.at = Math.max(...page.simulations.map((one) => one.world.pose().position[0]));
+          apply(fault);
+        }; 0"""
+    )
+    assert "will fail (noise)" in story.page.text_content("#message")
+    story.until("renetPage.at > 0")
+    edge = story.its("scene.ground.obstacle[0]")
+    assert story.ask("renetPage.at") == pytest.approx(edge - 0.3, abs=0.05)
+    assert story.its("simulations.map((one) => one.camera.fault.name)") == ["gaussian"] * 2
+    story.until("document.querySelector('#verdict').textContent")
+
+    robots = story.its("simulations.map(({ fell, state, upright }) => ({ fell, state, upright }))")
+    sentence = story.page.text_content("#verdict")
+    outcomes = story.page.locator(".outcome").all_text_contents()
+    parts = sentence.split(". ")
+    assert [words.split(" ")[0] for words in parts] == ["Switch", "Memory"]
+    for robot, words, outcome in zip(robots, parts, outcomes, strict=True):
+        assert ("fell" in words) == robot["fell"] == outcome.startswith("Fell after")
+        assert robot["fell"] or robot["upright"] > 0.5
+    assert robots[1]["state"] != "sees", "renet noticed"
+    assert ("from memory" in parts[1]) == (not robots[1]["fell"])
+    story.until("renetPage.page.now < 1")  # The show is played again.
+    assert story.its("pending")
+    assert all(url.startswith((address, "blob:", "data:")) for url in story.requests)
+
+
+@pytest.mark.parametrize("robot", ["go1", "go2"])
+def test_every_opening_shows_the_difference(visit, robot):
+    """The show plays again by itself, with new noise."""
+    one = visit(f"?robot={robot}").load()
+    for _ in range(2):
+        one.until("document.querySelector('#verdict').textContent")
+        fell, crossed = one.page.text_content("#verdict").split(". ")
+        assert fell.startswith("Switch fell")
+        assert fell.endswith("after its camera broke")
+        assert crossed == "Memory leapt the gap from memory."
+        left, right = one.page.locator(".outcome").all_text_contents()
+        assert (left[:10], right[:13]) == ("Fell after", "Leapt the gap")
+        # Beyond the gap is ground that it has never seen.
+        assert one.page.locator(".state .ahead").all_text_contents() == ["", UNSEEN_AHEAD]
+        colours = one.ask("Array.from(renetPage.page.view.robots[1].map.instanceColor.array)")
+        dots = 255 * np.reshape(colours, (-1, 3))
+        assert (np.abs(dots - rgb(UNSEEN_COLOUR)).max(axis=1) < 1).mean() > 0.5
+        one.until("!document.querySelector('#verdict').textContent")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
+    one = visit("?ground=gap&fault=none", size, scheme=scheme)
+    one.page.goto(one.url)
+    one.until("globalThis.renetPage?.stats.first")
+    ahead, noise = one.place("#go", (0.5, 0.05)), one.place("#faults button:nth-child(3)")
+    # However slow this machine is, the visitor is quick: time waits at the edge.
+    one.ask(
+        """const { page } = renetPage, edge = page.scene.ground.obstacle[0];
+        const reach = () => Math.max(...page.simulations.map((s) => s.world.pose().position[0]));
+        Object.defineProperty(page, "pace", {
+          configurable: true, get: () => (reach() > edge - 0.8 ? 0 : 1),
+        }); 0"""
+    )
+    one.until("renetPage.stats.ready")
+    one.tap(ahead)
+    one.until("document.querySelector('#asked').textContent === '1.00 m/s ahead'")
+    one.until("renetPage.page.pace === 0")
+    one.demand_order((*PARTS, *NEWS))
+    one.tap(noise)
+    one.ask("delete renetPage.page.pace")
+    one.until("document.querySelector('#verdict').textContent")
+    one.demand_order((*PARTS, *NEWS))
+    assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
+    assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")
+    assert one.its("driver.driven"), "and still drives"
