@@ -12,6 +12,7 @@ import json
 import sys
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -25,6 +26,10 @@ from renet.training.train import CONFIG_FILE
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "recipe"
 FLAGSHIP = Path(__file__).with_name("results") / "flagship"
+SHIPPED = "the Go1's policy that ships, seed 1"
+"""Label of the run that made it."""
+SIBLINGS = "the same recipe, seeds 2 and 3"
+"""Label of the other seeds of its recipe."""
 
 
 def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, float]]:
@@ -64,7 +69,7 @@ def rows(argument: str) -> list[dict[str, str | float]]:
 
 
 def draw(table: list[dict[str, str]]) -> None:
-    """A panel for each kind of tile, a line for each run."""
+    """Draw a panel for each kind of tile, with a line for each run and a colour for each label."""
     labels = list(dict.fromkeys(row["run"] for row in table))
     runs = dict.fromkeys((row["run"], row["seed"]) for row in table)
     with plt.rc_context(figures.STYLE):
@@ -72,18 +77,34 @@ def draw(table: list[dict[str, str]]) -> None:
         for axis, kind in zip(axes.flat, tiles(), strict=True):
             for label, seed in runs:
                 curve = [row for row in table if (row["run"], row["seed"]) == (label, seed)]
-                steps, level = (
-                    np.array([row[name] for row in curve], float) for name in ("steps", kind)
-                )
-                axis.plot(steps / 1e6, level, color=f"C{labels.index(label)}", linewidth=1)
+                steps = np.array([row["steps"] for row in curve], float)
+                level = np.array([row[kind] for row in curve], float)
+                axis.plot(steps / 1e6, level, **look(labels, label))
             axis.set(title=kind.replace("_", " "), ylim=(0, 10))
         for axis in axes[-1]:
             axis.set_xlabel("million environment steps")
         for axis in axes[:, 0]:
             axis.set_ylabel("curriculum's level")
-        lines = [plt.Line2D([], [], color=f"C{number}") for number in range(len(labels))]
-        figure.legend(lines, labels, loc="outside upper center")
+        lines = [plt.Line2D([], [], **look(labels, label)) for label in labels]
+        words = [f"{label} ({last_step(table, label) / 1e6:.0f} M steps)" for label in labels]
+        figure.legend(lines, words, loc="outside upper center", alignment="left")
         OUT.with_suffix(".png").write_bytes(figures.png(figure))
+
+
+def look(labels: list[str], label: str) -> dict[str, Any]:
+    """Colour, width and order of the lines of a label; the policy that ships stands out."""
+    shown = label == SHIPPED
+    return {
+        "color": f"C{labels.index(label)}",
+        "linewidth": 2.0 if shown else 1.0,
+        # A wide line must not cover thin ones.
+        "zorder": 2 if shown else 3,
+    }
+
+
+def last_step(table: list[dict[str, str]], label: str) -> float:
+    """Environment steps of the longest run of a label."""
+    return max(float(row["steps"]) for row in table if row["run"] == label)
 
 
 def main(runs: list[str]) -> None:
@@ -98,12 +119,13 @@ def main(runs: list[str]) -> None:
             writer.writeheader()
             writer.writerows(kept)
     earlier = list(csv.DictReader(path.read_text().splitlines()))
-    flagship = [
-        row | {"run": "with memory, seeds 1, 2, 3", "seed": seed.stem}
-        for seed in sorted(FLAGSHIP.glob("*.csv"))
-        for row in csv.DictReader(seed.read_text().splitlines())
-    ]
-    draw([*earlier, *flagship])
+    flagship = []
+    for number in (1, 2, 3):
+        text = (FLAGSHIP / f"seed_{number}.csv").read_text()
+        label = SHIPPED if number == 1 else SIBLINGS
+        for row in csv.DictReader(text.splitlines()):
+            flagship.append(row | {"run": label, "seed": str(number)})
+    draw([*flagship, *earlier])
 
 
 if __name__ == "__main__":

@@ -1,12 +1,17 @@
 """Curves of a training against a sum by hand."""
 
 import json
+from unittest.mock import Mock
 
 import pytest
 
 import recipe_curves
 from recipe_curves import level_curves
 from renet.curves import CURVES
+from renet.terrain.tiles import tiles
+
+OTHERS = ((1, 1_000_000), (2, 2_000_000), (2, 3_000_000))
+"""Seeds and environment steps of another recipe's rows."""
 
 
 def test_levels_over_steps_follow_the_batches_schedule(tmp_path):
@@ -24,6 +29,32 @@ def test_levels_over_steps_follow_the_batches_schedule(tmp_path):
     ]
     late = level_curves(tmp_path, steps=20000, every=4)
     assert [row["steps"] for row in late] == [20000 + 4 * 5000]
+
+
+def test_each_label_is_in_the_legend_with_its_length(tmp_path, monkeypatch):
+    """The runs that are kept, and two of another label and length."""
+    out = tmp_path / "recipe"
+    columns = ["run", "seed", "steps", "hours", *tiles()]
+    rows = [["other", seed, steps, 1.0, *[0.5] * len(tiles())] for seed, steps in OTHERS]
+    lines = [columns, *rows]
+    out.with_suffix(".csv").write_text("\n".join(",".join(map(str, line)) for line in lines))
+    monkeypatch.setattr(recipe_curves, "OUT", out)
+    drawn = Mock(return_value=b"")
+    monkeypatch.setattr(recipe_curves.figures, "png", drawn)
+    recipe_curves.main([])
+    (figure,) = drawn.call_args.args
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.texts] == [
+        f"{recipe_curves.SHIPPED} (232 M steps)",
+        f"{recipe_curves.SIBLINGS} (30 M steps)",
+        "other (3 M steps)",
+    ]
+    colours = [line.get_color() for line in legend.get_lines()]
+    assert len(set(colours)) == 3
+    # Runs of one label have one colour: one, two and two runs.
+    assert [line.get_color() for line in figure.axes[0].lines] == [
+        colours[label] for label in (0, 1, 1, 2, 2)
+    ]
 
 
 def test_runs_too_short_to_draw_leave_the_file_as_it_is(tmp_path, monkeypatch):

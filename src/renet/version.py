@@ -25,6 +25,6 @@ def commit() -> str | None:
 
 
 def code_version() -> str:
-    """Return the version, with the commit if there is one, such as "0.1.0 (1f2e3d4c5b6a)"."""
+    """Return the version, with the commit if there is one, such as "0.2.0 (1f2e3d4c5b6a)"."""
     revision = commit()
     return f"{__version__} ({revision})" if revision else __version__
