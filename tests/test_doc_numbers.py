@@ -61,7 +61,7 @@ def test_bold_cells_of_table_1_lie_outside_its_prediction_intervals():
 
 def test_tables_of_the_shipped_policy_are_those_of_its_results(tmp_path, capsys):
     assert tables.main([]) == 0
-    for name in {name for name, _ in tables.TABLES}:
+    for name in {name for name, _ in [*tables.TABLES, *tables.SENTENCES]}:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     page = tmp_path / "docs" / "memory.md"
@@ -72,6 +72,25 @@ def test_tables_of_the_shipped_policy_are_those_of_its_results(tmp_path, capsys)
     assert "docs/memory.md, Measure it" in capsys.readouterr().out
     assert tables.main(["--fill"], tmp_path) == 0
     assert page.read_text() == right
+
+
+def test_counts_in_a_sentence_are_filled(monkeypatch):
+    crossed = {"switch": 3, "memory": 24}
+    monkeypatch.setattr(tables, "result", lambda name: {"crossed": crossed, "seeds": 25})
+    old = "[0 of 9](x/first_walk.json) cross with\n`switch`, [1 of 9](x/first_walk.json) `memory`"
+    new = old.replace("0 of 9", "3 of 25").replace("1 of 9", "24 of 25")
+    assert tables.first_walk(old) == new
+    other = "[1 of 9](results/other.json) with `memory`"
+    assert tables.first_walk(other) == other
+
+
+def test_the_first_commands_are_those_that_were_walked():
+    walks = result("shipped/first_walk.json")
+    readme = (ROOT / "README.md").read_text()
+    assert tables.first_walk(readme.replace(" of 25](", " of 26](")) == readme, "it has the counts"
+    for mode in walks["crossed"]:
+        assert f"{walks['command_of_the_readme']} --mode {mode} " in readme
+    assert walks["seeds"] == len({run["seed"] for run in walks["runs"]})
 
 
 def test_what_two_seconds_without_an_image_cost():

@@ -1,10 +1,10 @@
-"""Hold the documents' tables about the policy that ships to the files of its results.
+"""Hold the documents' numbers about the policy that ships to the files of its results.
 
-    python tools/tables.py           name the rows that differ from their results; exit code 1
-    python tools/tables.py --fill    write them
+    python tools/tables.py           name the pages that differ from their results; exit code 1
+    python tools/tables.py --fill    write their numbers
 
-The first cell of a row says what the row is about; the others are filled. Rows are neither added
-nor removed, except those of the leaderboard.
+The first cell of a table's row says what the row is about; the others are filled. Rows are neither
+added nor removed, except those of the leaderboard. Of a sentence only the numbers are filled.
 """
 
 from __future__ import annotations
@@ -231,6 +231,23 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
 None: a leaderboard, whose rows are all new."""
 
 
+def first_walk(page: str) -> str:
+    """Fill a page's counts of walks that cross, each a link with the mode after it."""
+    walks = result("first_walk")
+
+    def count(link: re.Match[str]) -> str:
+        return f"[{walks['crossed'][link['mode']]} of {walks['seeds']}]{link['rest']}"
+
+    counts = r"\[\d+ of \d+\](?P<rest>\(\S+/first_walk\.json\)[^`]*`(?P<mode>\w+)`)"
+    return re.sub(counts, count, page)
+
+
+SENTENCES: dict[tuple[str, str], Callable[[str], str]] = {
+    ("README.md", "the first commands with other seeds"): first_walk,
+}
+"""Functions that fill the numbers in a page's sentences, by file and subject."""
+
+
 def leaderboard() -> list[list[str]]:
     """The rows of the fault benchmark's leaderboard, best first."""
     files = [RESULTS / "benchmark" / "full" / f"{name}.json" for name in LEADERBOARD]
@@ -251,14 +268,18 @@ def filled(page: str, heading: str, fill: Callable[[str], list[str]] | None = No
 
 def main(arguments: list[str], root: Path = ROOT) -> int:
     """Compare or fill; 1 if a page differs from its results and is not to be filled."""
-    wrong = 0
+    fillers: dict[tuple[str, str], Callable[[str], str]] = {}
     for (name, heading), fill in TABLES.items():
+        fillers[name, heading] = partial(filled, heading=heading, fill=fill)
+    fillers |= SENTENCES
+    wrong = 0
+    for (name, subject), fill_page in fillers.items():
         page = (root / name).read_text()
-        new = filled(page, heading, fill)
+        new = fill_page(page)
         if "--fill" in arguments:
             (root / name).write_text(new)
         elif new != page:
-            print(f"{name}, {heading}: other numbers than its results; run tools/tables.py --fill")
+            print(f"{name}, {subject}: other numbers than its results; run tools/tables.py --fill")
             wrong = 1
     return wrong
 
