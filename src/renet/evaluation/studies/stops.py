@@ -71,6 +71,7 @@ class StopsStudy(WalkingStudy):
         tile = replace(barriers()[kind], low=self.height, high=self.height)
         terrain = parkour_terrain(EVALUATION_SEED, {kind: tile}, levels=1)
         cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
+        evaluator.set_conditions(cfg)
         # Robots start at this angle, give or take `START_YAW`.
         yaw = math.radians(angle)
         cfg.events["spawn"].params["pose_range"]["yaw"] = (yaw - START_YAW, yaw + START_YAW)
