@@ -72,13 +72,11 @@ class BackingStudy(WalkingStudy):
     def _back_out(self, evaluator: Evaluator, kind: Edge) -> Part:
         """Walk all robots and modes backward from one kind of edge."""
         from renet.evaluation.motion import MotionSensor
-        from renet.tasks.parkour_env_cfg import tile_env_cfg
         from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
         tile = replace(tiles()[kind], low=SIZES[kind], high=SIZES[kind])
         terrain = parkour_terrain(EVALUATION_SEED, {kind: tile}, levels=1)
-        cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
-        evaluator.set_conditions(cfg)
+        cfg = evaluator.terrain_env_cfg(terrain)
         place = EDGES[kind] - self.from_edge
         start = cfg.events["spawn"].params["pose_range"]
         start["x"] = (place - _SPREAD, place + _SPREAD)
