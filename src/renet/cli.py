@@ -100,7 +100,7 @@ COMMANDS = {
         resume=KEPT,
     ),
     "play": _walk(
-        "film a bundle or checkpoint while its camera fails",
+        "film any policy while its camera fails",
         "renet.evaluation.play:PlayCfg:run_play",
     ),
     "deploy": _walk(

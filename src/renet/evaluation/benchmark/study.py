@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from renet.errors import RenetError
+from renet.evaluation.adapters.options import PolicyOptions
 from renet.evaluation.benchmark.episodes import EPISODES, EPISODES_PER_BLOCK, SEED, draw_episodes
 from renet.evaluation.benchmark.families import SealedFaults
 from renet.evaluation.benchmark.leaderboard import family_table, measures, ranking
@@ -25,16 +26,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class BenchmarkStudy(Study):
+class BenchmarkStudy(Study, PolicyOptions):
     """Count the obstacles that robots cross while the camera fails: renet-faults, version 3."""
 
     out: Path = Path("results/benchmark")
     """Folder for summary.md, summary.json, summary.csv, result.json and parts/."""
-    policy: Path | None = None
-    """Model of another project, .onnx or TorchScript (.pt), in place of a bundle."""
-    adapter: str | None = None
-    """Adapter for its inputs and outputs: onnx-depth, extreme-parkour, playground, himloco,
-    robogauge, robot-lab, or a FILE.py of your own (docs/benchmark.md)."""
     entries: tuple[EntryName, ...] = ()
     """Ways to use the models; by default memory, switch, camera, blind and healthy. A policy with
     an adapter walks as camera and healthy, or as blind if it reads no image."""
@@ -66,7 +62,7 @@ class BenchmarkStudy(Study):
                 "the benchmark has conditions and motors of its own: leave out --conditions and"
                 " --motors"
             )
-        self._check_policy()
+        self.check_policy(self.bundle)
         if self.draw_seed < 0:
             raise RenetError(f"draw seed must be at least 0, got {self.draw_seed}")
         if self.sealed is not None and self.quick:
@@ -91,22 +87,11 @@ class BenchmarkStudy(Study):
         if self.quick or self.sealed is not None or self.verify is not None:
             raise RenetError("give --episodes without --quick, --sealed and --verify")
 
-    def _check_policy(self) -> None:
-        """Raise RenetError if a policy lacks its adapter, or comes with a bundle."""
-        if (self.policy is None) != (self.adapter is None):
-            raise RenetError(
-                "give --policy FILE and --adapter together: a name of docs/benchmark.md, or FILE.py"
-            )
-        if self.policy is not None and self.bundle is not None:
-            raise RenetError("give --policy or --bundle, not both")
-
     def make_evaluator(self) -> Evaluator:
         """Make the evaluator of the bundle, or of another project's policy."""
-        if self.policy is None or self.adapter is None:
+        evaluator = self.open_policy(self.engine)
+        if evaluator is None:
             return super().make_evaluator()
-        from renet.evaluation.adapters.evaluator import AdaptedEvaluator
-
-        evaluator = AdaptedEvaluator(self.policy, self.adapter, self.engine)
         # Raises for entries that the policy does not have.
         _ = self.modes(evaluator)
         return evaluator
