@@ -99,7 +99,10 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
     [
         ({"entries": ("memory", "memory")}, "give each of them once"),
         ({"entries": ("renet",)}, "unknown entry 'renet': choose among memory"),
-        ({"conditions": "training"}, "conditions and motors of its own"),
+        ({"conditions": "training"}, "has its own: leave out --conditions$"),
+        ({"seed": 2, "motors": "go1"}, "has its own: leave out --seed and --motors$"),
+        ({"verify": "r.json", "quick": True}, "--verify walks ten episodes .* leave out --quick$"),
+        ({"verify": "r.json", "draw_seed": 5, "shard": "1/2"}, "leave out --draw-seed and --shard"),
         ({"policy": "x.onnx"}, "give --policy FILE and --adapter together"),
         ({"policy": "x", "adapter": "himloco", "bundle": "b"}, "not both"),
         ({"draw_seed": -1}, "draw seed must be at least 0"),
@@ -137,10 +140,24 @@ def test_a_true_result_holds(study, claimed):
     assert "20 of 20 walks end as the file says" in verification.verify(study, claimed)
 
 
-def test_the_verdict_is_the_commands_last_line(study, claimed, tmp_path):
-    verifying = replace(study, verify=claimed, out=tmp_path / "unused")
-    assert "walks end as the file says" in verifying.main()
+def test_the_verdict_is_the_commands_last_line(claimed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    verifying = Walked(entries=("memory", "blind"), verify=claimed)
+    assert "walks end as the file says" in str(verifying.main())
     assert not verifying.out.exists()
+
+
+@pytest.mark.parametrize("words", [["--seed", "1"], ["--conditions=nominal"], ["--motors", "go1"]])
+def test_options_without_use_are_hidden_and_refused_in_one_line(words, capsys):
+    option = words[0].partition("=")[0]
+    with pytest.raises(SystemExit):
+        main(["evaluate", "benchmark", "--help"])
+    told = capsys.readouterr().out
+    assert "--draw-seed" in told
+    assert option not in told
+    assert main(["evaluate", "benchmark", *words]) == 2
+    error = capsys.readouterr().err
+    assert error == f"renet: `renet evaluate benchmark` has no use for {option}: leave it out\n"
 
 
 def test_a_polished_result_does_not_hold(study, claimed):

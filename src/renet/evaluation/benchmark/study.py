@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
+
+import tyro
 
 from renet.errors import RenetError
 from renet.evaluation.adapters.options import PolicyOptions
@@ -17,12 +19,16 @@ from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, ROLLOUT_MODES, Ent
 from renet.evaluation.benchmark.results import SETS, demand_version_seed, make_result
 from renet.evaluation.benchmark.scores import EpisodeRow, by_family, rows_of, score_rows
 from renet.evaluation.results import group_by, write_json
+from renet.evaluation.rollout import Conditions
 from renet.evaluation.study import Part, Study, Table
 from renet.files import remove
 from renet.motor_models import IDEAL
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
+
+_UNVERIFIED = ("out", "quick", "episodes", "method", "draw_seed", "jobs", "shard")
+"""Settings that the verification of a result, which walks one block of it, has no use for."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,12 @@ class BenchmarkStudy(Study, PolicyOptions):
 
     out: Path = Path("results/benchmark")
     """Folder for summary.md, summary.json, summary.csv, result.json and parts/."""
+    quick: bool = False
+    """Walk only the first 20 of the 200 episodes; such results are ranked among themselves."""
+    # Hidden, because every episode has its own: see `unused`.
+    seed: tyro.conf.Suppress[int] = 1
+    conditions: tyro.conf.Suppress[Conditions] = "nominal"
+    motors: tyro.conf.Suppress[str] = IDEAL
     entries: tuple[EntryName, ...] = ()
     """Ways to use the models; by default memory, switch, camera, blind and healthy. A policy with
     an adapter walks as camera and healthy, or as blind if it reads no image."""
@@ -45,10 +57,13 @@ class BenchmarkStudy(Study, PolicyOptions):
     draw_seed: int = SEED
     """Seed of the episodes. Another one is for experiments, and leaves no result.json."""
     verify: Path | None = None
-    """A result.json of the same policy: walk ten of its episodes again, and compare."""
+    """A result.json of the same policy: walk ten of its episodes again, compare, and write
+    nothing."""
 
     name: ClassVar[str] = "benchmark"
     selectable: ClassVar[tuple[str, ...]] = ("quick", "episodes", "method", "verify")
+    unused: ClassVar[tuple[str, ...]] = ("seed", "conditions", "motors")
+    """Options of all studies that this one has no use for; the command line refuses them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,11 +72,10 @@ class BenchmarkStudy(Study, PolicyOptions):
             raise RenetError("entries: give each of them once")
         if unknown := {*self.entries} - {*known}:
             raise RenetError(f"unknown entry {unknown.pop()!r}: choose among {', '.join(known)}")
-        if self.conditions != "nominal" or self.motors != IDEAL:
-            raise RenetError(
-                "the benchmark has conditions and motors of its own: leave out --conditions and"
-                " --motors"
-            )
+        if useless := self._changed(self.unused):
+            raise RenetError(f"every episode of the benchmark has its own: leave out {useless}")
+        if self.verify is not None and (useless := self._changed(_UNVERIFIED)):
+            raise RenetError(f"--verify walks ten episodes of a result: leave out {useless}")
         self.check_policy(self.bundle)
         if self.draw_seed < 0:
             raise RenetError(f"draw seed must be at least 0, got {self.draw_seed}")
@@ -84,8 +98,17 @@ class BenchmarkStudy(Study, PolicyOptions):
                 f"--episodes must be a multiple of {EPISODES_PER_BLOCK} up to {EPISODES}, got"
                 f" {self.episodes}"
             )
-        if self.quick or self.sealed is not None or self.verify is not None:
-            raise RenetError("give --episodes without --quick, --sealed and --verify")
+        if self.quick or self.sealed is not None:
+            raise RenetError("give --episodes without --quick and --sealed")
+
+    def _changed(self, names: Sequence[str]) -> str:
+        """Options among these settings that are not at their defaults, in words."""
+        defaults = {field.name: field.default for field in fields(self)}
+        options = []
+        for name in names:
+            if getattr(self, name) != defaults[name]:
+                options.append(f"--{name.replace('_', '-')}")
+        return " and ".join(options)
 
     def make_evaluator(self) -> Evaluator:
         """Make the evaluator of the bundle, or of another project's policy."""
