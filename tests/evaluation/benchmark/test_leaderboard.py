@@ -29,6 +29,31 @@ def test_the_best_comes_first_and_leads_are_of_the_first_file():
     assert "it: worse, memory" in title
 
 
+def test_equal_differences_have_no_interval():
+    _, header, rows = leaderboard.ranking([result(GOOD, "ours"), result(GOOD, "same")])
+    assert rows[1][header.index("behind it")] == "+0.0 (all alike)"
+    half = leaderboard.ranking([result(BAD)])[2][0]
+    assert half[header.index("95 %")] == "all alike"
+
+
+def test_counts_are_of_obstacles_and_of_episodes():
+    _, header, rows = leaderboard.counts(result([2] * 9 + [1]))
+    cells = dict(zip(header[:4], rows[0][:4], strict=True))
+    # Clopper and Pearson's interval of 9 in 10, from their table.
+    assert cells == {
+        "entry": "memory",
+        "obstacles crossed": "19 of 20",
+        "courses crossed": "9 of 10",
+        "95 %": "55.5 to 99.7",
+    }
+    assert rows[0][4:] == ("1 of 10", "0.3 to 44.5")
+
+
+def test_the_measures_say_of_how_many_episodes_they_are():
+    title = leaderboard.measures([result(GOOD)])[0]
+    assert title == "Measures: 10 episodes with loud faults, 10 with lies, 4 of strangers"
+
+
 def test_three_trainings_of_a_method_are_one_line():
     trainings = [result(crossed, f"t{i}", "ours") for i, crossed in enumerate((GOOD, BAD, GOOD))]
     _, header, rows = leaderboard.ranking(trainings)

@@ -54,9 +54,10 @@ def test_a_run_leaves_a_result_that_can_be_read(study, tmp_path):
 
 
 def test_the_tables_have_a_line_for_each_entry(study):
-    ranking, measures, families = study.tables(study.run())
+    ranking, measures, counts, families = study.tables(study.run())
     assert [line[2] for line in ranking[2]] == ["memory", "blind"]
     assert [line[1] for line in measures[2]] == ["memory", "blind"]
+    assert [line[0] for line in counts[2]] == ["memory", "blind"]
     assert [name for name, *_ in families[2]] == ["dark", "mount"]
 
 
@@ -83,7 +84,7 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
     summary = short.run()
     assert {run["episode"] for run in summary["runs"]} == set(range(10))
     assert not (tmp_path / "result.json").exists()
-    assert "first 10 episodes" in short.tables(summary)[0][0]
+    assert "first 10 of 200 episodes" in short.tables(summary)[0][0]
     walked = []
     walk = Walked.walk
     monkeypatch.setattr(

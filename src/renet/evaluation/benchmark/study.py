@@ -14,7 +14,7 @@ from renet.errors import RenetError
 from renet.evaluation.adapters.options import PolicyOptions
 from renet.evaluation.benchmark.episodes import EPISODES, EPISODES_PER_BLOCK, SEED, draw_episodes
 from renet.evaluation.benchmark.families import SealedFaults
-from renet.evaluation.benchmark.leaderboard import family_table, measures, ranking
+from renet.evaluation.benchmark.leaderboard import counts, family_table, measures, ranking
 from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, ROLLOUT_MODES, EntryName
 from renet.evaluation.benchmark.results import SETS, demand_version_seed, make_result
 from renet.evaluation.benchmark.scores import EpisodeRow, by_family, rows_of, score_rows
@@ -197,9 +197,9 @@ class BenchmarkStudy(Study, PolicyOptions):
         return make_result(summary, method, summary["robot"], self.episode_set)
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The scores, the other measures, and the scores under each family of faults."""
+        """The scores, the other measures, counts, and the scores under each family of faults."""
         result = self._result(summary)
-        return [ranking([result]), measures([result]), family_table(result)]
+        return [ranking([result]), measures([result]), counts(result), family_table(result)]
 
     def main(self) -> str | None:
         """Run the study and print its tables, or verify a result; raises RenetError if it fails.
