@@ -105,6 +105,24 @@ def test_every_line_of_the_markdown_has_all_cells(tmp_path):
     assert head.count("|") == rule.count("|") == first.count("|")
 
 
+def test_names_are_whole_in_a_terminal_of_80_columns(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    files = []
+    for name, entry in (("go1-parkour", "oracle, handing over"), ("robot-lab", "blind")):
+        content = result(GOOD, name, entry=entry)
+        content["policy"]["robot"] = "Unitree Go1"
+        files.append(write(tmp_path / f"{name}.json", content))
+    leaderboard.make_leaderboard(leaderboard.LeaderboardCfg((*files,), tmp_path / "out.md"))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "…" not in shown
+    words = shown.split()
+    # In the ranking and the measures.
+    for word in ("go1-parkour", "robot-lab", "handing", "stranger"):
+        assert word in words
+    assert words.count("robot-lab") == 2
+
+
 def test_no_file_is_told():
     with pytest.raises(RenetError, match="give result files"):
         leaderboard.make_leaderboard(leaderboard.LeaderboardCfg(()))
