@@ -166,6 +166,7 @@ COMMANDS = {
             "dawn": "renet.evaluation.studies.terrain:DawnStudy",
             "standing": "renet.evaluation.studies.standing:StandingStudy",
             "stops": "renet.evaluation.studies.stops:StopsStudy",
+            "backing": "renet.evaluation.studies.backing:BackingStudy",
         },
     ),
     "evaluate commands": _study(

@@ -129,36 +129,6 @@ def test_reward_of_a_turn_rate(env, rate, expected):
     )
 
 
-def walked(env):
-    """Planar velocity of every robot in the world frame, [N, 2] m/s."""
-    return env.sim.data.qvel[:, :2]
-
-
-def test_robots_that_lag_behind_are_kicked_to_their_velocity(env, monkeypatch):
-    monkeypatch.setattr(goal(env).cfg, "kick_interval", 0.2)
-    drive(env, (-0.4, 0.3, 0.5), (0.0, 0.0))
-    goal(env).compute(0.02)
-    kicked = (walked(env) != 0.0).any(-1)
-    # One robot in ten, give or take five standard deviations.
-    assert 17 < kicked.sum() < 86
-    expected = torch.tensor((-0.4, 0.3)).expand(int(kicked.sum()), 2)
-    torch.testing.assert_close(walked(env)[kicked], expected)
-    assert (env.sim.data.qvel[kicked, 5] == 0.5).all()
-
-
-def test_robots_that_follow_are_left_alone(env, monkeypatch):
-    monkeypatch.setattr(goal(env).cfg, "kick_interval", 0.02)
-    for twist, velocity in [
-        ((-0.4, 0.3, 0.0), (-0.3, 0.2)),
-        ((0.0, 0.0, 1.0), (0.1, 0.0)),
-        ((0.0, 0.0, 0.0), (0.1, 0.0)),
-    ]:
-        drive(env, twist, velocity)
-        before = walked(env).clone()
-        goal(env).compute(0.02)
-        torch.testing.assert_close(walked(env), before)
-
-
 def test_feet_in_the_air_count_for_a_swing_of_robots_told_to_move(env, monkeypatch):
     drive(env, (0.3, 0.0, 0.0), (0.0, 0.0))
     goal(env).speed[:2] = 0.0
@@ -203,7 +173,6 @@ def test_only_named_tiles_have_velocities(build):
         ({"speed": (0.2, math.inf)}, "commands.speed must be"),
         ({"resampling_time_range": (math.nan, 1.0)}, "commands.resampling_time_range must be"),
         ({"sideways": -0.1}, "commands.sideways must be at least 0"),
-        ({"kick_interval": -1.0}, "commands.kick_interval must be at least 0"),
         ({"turn": math.nan}, "commands.turn must be at least 0"),
         ({"free_shares": {"rough": 1.5}}, r"commands.free_shares\['rough'\] must be from 0 to 1"),
         ({"kick_share": -1.0}, "commands.kick_share must be from 0 to 1"),

@@ -6,6 +6,7 @@ import torch
 
 from renet.models.actor_critic import Actor, Critics
 from renet.models.config import ModelCfg
+from renet.models.symmetry import Mirror
 from renet.training import distributed, np3o
 from renet.training.config import NP3OCfg
 from renet.training.storage import PolicyRollout
@@ -76,6 +77,7 @@ def random_rollout(
     rollout = PolicyRollout(
         proprioception=proprioception,
         latent=latent,
+        mirrored_latent=draw(128),
         critic_observation=critic_observation,
         action=action,
         log_prob=policy.log_prob(action).sum(-1),
@@ -85,6 +87,30 @@ def random_rollout(
         done=draw() > 1.5,
     )
     return rollout, noise * torch.randn(robots, 4)
+
+
+def asymmetry(actor: Actor) -> float:
+    """Mean square by which actions in the mirror differ from mirrored actions."""
+    mirror, proprioception, latent = Mirror("cpu"), torch.randn(500, 45), torch.zeros(500, 128)
+    with torch.no_grad():
+        action = actor(proprioception, latent)
+        in_mirror = actor(mirror.proprioception(proprioception), latent)
+    return (in_mirror - mirror.action(action)).square().mean().item()
+
+
+@pytest.mark.parametrize(("weight", "most", "least"), [(0.0, 2.0, 0.5), (10.0, 0.2, 0.0)])
+def test_mirror_loss_makes_both_sides_alike(weight, most, least):
+    torch.manual_seed(0)
+    algorithm = small(mirror_loss=weight, learning_rate=1e-2, entropy=0.0, desired_kl=0.0)
+    before = asymmetry(algorithm.actor)
+    for iteration in range(20):
+        rollout, last = random_rollout(algorithm, steps=50)
+        # The loss alone moves the policy, of which memory tells nothing.
+        for nothing in (rollout.latent, rollout.mirrored_latent, rollout.value, last):
+            nothing.zero_()
+        rollout.rewards_and_costs.zero_()
+        algorithm.update(rollout, last, algorithm.draw_orders(rollout), iteration)
+    assert least <= asymmetry(algorithm.actor) / before < most
 
 
 def bandit(algorithm: np3o.NP3O, iterations: int) -> float:

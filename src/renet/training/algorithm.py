@@ -16,6 +16,7 @@ from renet.models.config import ModelCfg
 from renet.models.memory import EstimatorMemory
 from renet.models.oracle import true_image
 from renet.models.renet import RENet
+from renet.models.symmetry import Mirror
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
 from renet.training import distributed
@@ -76,6 +77,11 @@ class RenetAlgorithm:
         self.np3o = NP3O(model.actor, model.critics, from_dict(NP3OCfg, settings), dtype)
         self.supervision = Supervision(model, from_dict(SupervisionCfg, cfg["supervision"]), dtype)
         self.memory = EstimatorMemory(model.cfg, env.num_envs, device)
+        # Both estimators also run on mirrored inputs, for the actor's mirror loss.
+        self.mirror = Mirror(device)
+        self.mirrored_memory: EstimatorMemory | None = None
+        if self.np3o.cfg.mirror_loss > 0.0:
+            self.mirrored_memory = EstimatorMemory(model.cfg, env.num_envs, device)
         withholding = from_dict(WithholdingCfg, cfg["withholding"])
         self.withholding = Withholding(withholding, env.num_envs, device)
         self.average = WeightAverage(self.model, cfg["average_over"])
@@ -117,6 +123,8 @@ class RenetAlgorithm:
         proprioception = obs["proprioception"]
         mask = self.op_mask(obs)
         self.memory.push(proprioception)
+        if self.mirrored_memory is not None:
+            self.mirrored_memory.push(self.mirror.proprioception(proprioception))
         if self._step_count % STEPS_PER_TICK == 0:
             self._tick(obs, mask)
         latent = fuse(self.memory.latent_op, self.memory.latent_vp, mask)
@@ -125,11 +133,19 @@ class RenetAlgorithm:
         self._steps.begin(
             proprioception=proprioception,
             latent=latent,
+            mirrored_latent=self._mirrored_latent(mask),
             critic_observation=self.critic_observation(obs, mask),
             action=action,
             mean=distribution.mean,
         )
         return action
+
+    def _mirrored_latent(self, mask: Tensor) -> Tensor:
+        """Return the latent that the actor would read in the mirror, [N, 128]; [N, 0] without."""
+        memory = self.mirrored_memory
+        if memory is None:
+            return self.memory.latent_op[:, :0]
+        return fuse(memory.latent_op, memory.latent_vp, mask)
 
     def op_mask(self, obs: TensorDict) -> Tensor:
         """Return a mask of the robots that OP steers in this iteration, [N] bool."""
@@ -155,6 +171,9 @@ class RenetAlgorithm:
         image = true_image(obs["height_map"]) if oracle else obs["depth"]
         memory.see(image, has_image)
         memory.tick(self.model.advance)
+        if self.mirrored_memory is not None:
+            self.mirrored_memory.see(self.mirror.image(image), has_image)
+            self.mirrored_memory.tick(self.model.advance)
         self._ticks.begin(
             history=memory.history,
             frames=memory.frames,
@@ -194,6 +213,8 @@ class RenetAlgorithm:
                 next_valid=~done,
             )
         self.memory.reset(done)
+        if self.mirrored_memory is not None:
+            self.mirrored_memory.reset(done)
         self._step_count += 1
         if self._overflow is not None:
             self._overflow.look()

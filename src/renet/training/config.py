@@ -64,6 +64,10 @@ class NP3OCfg:
     """Initial penalty kappa of every constraint; 0 is plain PPO."""
     cost_weight_growth: float = 1.0004
     """Growth g of the penalty: iteration i multiplies kappa by g^i, up to 1."""
+    mirror_loss: float = 0.0
+    """Weight of the mirror loss (Mittal et al. 2024, "Symmetry Considerations for Learning Task
+    Symmetric Robot Policies"): the mean square of the difference between the mean action for a
+    mirrored observation and the mirrored mean action. The command must be a twist. 0 is none."""
 
     def __post_init__(self) -> None:
         _check_positive(self, "num_learning_epochs", "num_mini_batches")

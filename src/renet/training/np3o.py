@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal, kl_divergence
 
 from renet.models.actor_critic import Actor, Critics
+from renet.models.symmetry import Mirror
 from renet.training import distributed
 from renet.training.config import NP3OCfg, value_at
 from renet.training.precision import compute_in, side_by_side
@@ -153,6 +154,7 @@ class NP3O:
         self.cfg = cfg
         self.dtype = dtype
         self.parameters = [*actor.parameters(), *critics.parameters()]
+        self._mirror = Mirror(self.parameters[0].device)
         self.cost_weight = cfg.cost_weight
         # Values of schedules, set at the beginning of each update.
         self._entropy = 0.0
@@ -290,16 +292,31 @@ class NP3O:
         # Entropy bonus.
         entropy = distribution.entropy().sum(-1).mean()
 
-        (surrogate + penalty - self._entropy * entropy).backward()
+        losses = {"surrogate": surrogate, "cost": penalty, "entropy": entropy}
+        loss = surrogate + penalty - self._entropy * entropy
+        if self.cfg.mirror_loss > 0.0:
+            losses["mirror"] = self._mirror_loss(batch, index, distribution.mean)
+            loss = loss + self.cfg.mirror_loss * losses["mirror"]
+
+        loss.backward()
         with torch.no_grad():
             old = Normal(batch.mean[index], old_std, validate_args=False)
-            kl = kl_divergence(old, distribution).sum(-1).mean()
-        return {
-            "surrogate": surrogate.detach(),
-            "cost": penalty.detach(),
-            "entropy": entropy.detach(),
-            "kl": kl,
-        }
+            losses["kl"] = kl_divergence(old, distribution).sum(-1).mean()
+        return {name: value.detach() for name, value in losses.items()}
+
+    def _mirror_loss(self, batch: PolicyRollout, index: Tensor, mean: Tensor) -> Tensor:
+        """Compute the mean square by which actions in the mirror differ from mirrored actions.
+
+        Args:
+            batch: The transitions.
+            index: Those of the mini-batch, [B].
+            mean: Mean actions of the mini-batch, [B, 12].
+        """
+        proprioception = self._mirror.proprioception(batch.proprioception[index])
+        in_mirror = self.actor(proprioception, batch.mirrored_latent[index])
+        # The mirrored action is the target, to which no gradient goes back: each side learns from
+        # the other in turn.
+        return (in_mirror - self._mirror.action(mean.detach())).square().mean()
 
     def _value_gradient(
         self, batch: PolicyRollout, targets: Targets, index: Tensor

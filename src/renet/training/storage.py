@@ -15,6 +15,9 @@ class PolicyRollout:
     """Noisy proprioception o_t, [T, N, 45]."""
     latent: Tensor
     """Latent h that the actor read, detached, [T, N, 128]."""
+    mirrored_latent: Tensor
+    """Latent that the actor would read in the mirror, [T, N, 128], or [T, N, 0] without mirror
+    loss."""
     critic_observation: Tensor
     """Observations of the critics, [T, N, C]."""
     action: Tensor

@@ -106,13 +106,11 @@ class ReachStudy(WalkingStudy):
 
     def _walk(self, evaluator: Evaluator, name: str, gap: GapTile, metres: float) -> Part:
         """Walk on one tile with each conduct, and with a healthy camera."""
-        from renet.tasks.parkour_env_cfg import tile_env_cfg
         from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
         kinds: dict[str, Tile] = {"gap": gap}
         terrain = parkour_terrain(EVALUATION_SEED, kinds, levels=1)
-        cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
-        evaluator.set_conditions(cfg)
+        cfg = evaluator.terrain_env_cfg(terrain)
         each = self.robots_each
         dead = (Injection.of(*DEAD_CAMERA, self.onset, self.seconds),)
         # One group with a healthy camera, which no conduct changes, and one for each conduct.

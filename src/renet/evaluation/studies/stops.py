@@ -65,12 +65,11 @@ class StopsStudy(WalkingStudy):
 
     def _approach(self, evaluator: Evaluator, kind: str, angle: float) -> Part:
         """Walk all robots and modes at one kind of barrier, from one direction."""
-        from renet.tasks.parkour_env_cfg import tile_env_cfg
         from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
         tile = replace(barriers()[kind], low=self.height, high=self.height)
         terrain = parkour_terrain(EVALUATION_SEED, {kind: tile}, levels=1)
-        cfg = tile_env_cfg(terrain, play=True, robot=evaluator.robot)
+        cfg = evaluator.terrain_env_cfg(terrain)
         # Robots start at this angle, give or take `START_YAW`.
         yaw = math.radians(angle)
         cfg.events["spawn"].params["pose_range"]["yaw"] = (yaw - START_YAW, yaw + START_YAW)

@@ -16,15 +16,13 @@ from torch import Tensor
 
 from renet.errors import RenetError
 from renet.interface import MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN, TURN_GAIN, Told
-from renet.tasks.mdp.base_state import base_heading, base_velocity, on_tiles, rotated
+from renet.tasks.mdp.base_state import base_heading, on_tiles, rotated
 from renet.terrain.tiles import Barrier
 
 COMMAND = "goal"
 """Name of the command term in every RENet task."""
 PLANE = "plane"
 """Ground without tiles."""
-MAX_LAG = 0.5
-"""Error of a velocity, as a share of it, beyond which a robot lags behind."""
 
 
 def clear_widths(env: ManagerBasedRlEnv) -> list[float]:
@@ -223,13 +221,11 @@ class DriveCommandCfg(GoalCommandCfg):
     kick_share: float = 0.0
     """Share of new velocities at which the robot is given what it is told to reach, at once: it
     then meets what it could not find by chance, and need only keep it up."""
-    kick_interval: float = 0.0
-    """Mean time between further kicks of a robot that lags behind its velocity, s; 0 for none."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_ranges(self, "forward")
-        for name in ("sideways", "turn", "kick_interval"):
+        for name in ("sideways", "turn"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise RenetError(f"commands.{name} must be at least 0, got {getattr(self, name)}")
         check_shares(
@@ -287,9 +283,6 @@ class DriveCommand(GoalCommand):
         super().compute(dt, env_ids)
         # A velocity leads nowhere in particular: it owes no distance.
         self.commanded_distance = torch.where(self.free, walked, self.commanded_distance)
-        # With robots to compute, only commands are computed: no time passes.
-        if env_ids is None and self.cfg.kick_interval and self.cfg.fixed_speed is None:
-            self._kick_stragglers(dt)
 
     def _resample_command(self, env_ids: Tensor) -> None:
         super()._resample_command(env_ids)
@@ -361,16 +354,6 @@ class DriveCommand(GoalCommand):
         for axis, value in given.items():
             before = written[env_ids, address[axis]]
             written[env_ids, address[axis]] = torch.where(kicked, value, before)
-
-    def _kick_stragglers(self, dt: float | Tensor) -> None:
-        """Kick robots that follow less than half of their velocity, at random times."""
-        velocity = self.direction * self.speed.unsqueeze(-1)
-        error = (base_velocity(self._env)[:, :2] - velocity).norm(dim=-1)
-        lags = self.free & (self.speed > 0.0) & (error > MAX_LAG * self.speed)
-        now = torch.rand_like(error) < dt / self.cfg.kick_interval
-        # Of all robots: to ask which they are would wait for the GPU.
-        env_ids = torch.arange(self.num_envs, device=self.device)
-        self._kick(env_ids, lags & now, self.velocity, self.free_turn)
 
     def _update_command(self, env_ids: Tensor | None) -> None:
         super()._update_command(env_ids)

@@ -1,0 +1,62 @@
+"""Who backs out from an edge: by hand, a robot that never moves, and policies that ship or walk."""
+
+import numpy as np
+import pytest
+
+from renet.errors import RenetError
+from renet.evaluation.studies.backing import BackingStudy, outcomes
+from tests.driven import driven_bundle
+
+from .test_stops import StillEvaluator
+
+
+def test_outcomes_are_those_of_the_first_try():
+    # Ends far enough; falls before; falls after; stands; is put back after a fall, and goes on.
+    positions = np.array(
+        [
+            [0.8, 0.8, 0.8, 0.8, 0.8],
+            [0.3, 0.5, -0.3, 0.8, 0.8],
+            [-0.2, 0.8, 0.8, 0.8, -0.5],
+        ]
+    )
+    ended = np.zeros((3, 5), bool)
+    ended[1, 1] = ended[2, 2] = ended[1, 4] = True
+    backed, fell = outcomes(positions, ended)
+    assert backed.tolist() == [True, False, True, False, False]
+    assert fell.tolist() == [False, True, False, False, True]
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    return driven_bundle(tmp_path_factory.mktemp("driven"))
+
+
+def test_a_robot_that_stands_neither_backs_out_nor_falls(tmp_path, driven):
+    study = BackingStudy(tmp_path, bundle=driven, quick=True, seconds=1.0, kinds=("stairs_up",))
+    (run,) = study.run(StillEvaluator(driven))["runs"]
+    assert (run["backed"], run["falls"], run["robots"]) == (0, 0, 6)
+
+
+def test_a_policy_that_can_be_driven_backs_out(tmp_path, driven):
+    study = BackingStudy(tmp_path, bundle=driven, quick=True, kinds=("gap",))
+    (run,) = study.run()["runs"]
+    assert run["backed"] >= 4
+    assert run["success_rate"] == run["backed"] / run["robots"]
+
+
+def test_a_policy_that_is_told_headings_is_refused(tmp_path):
+    with pytest.raises(RenetError, match="cannot be asked to walk backward"):
+        BackingStudy(tmp_path, quick=True, kinds=("gap",)).run()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"kinds": ("platform",)}, "choose among gap, stairs_up, stairs_down"),
+        ({"speed": 0.7}, "speed must be at most 0.6 m/s backward"),
+        ({"from_edge": 1.3}, "from-edge 1.3 m is not on the ground"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, message):
+    with pytest.raises(RenetError, match=message):
+        BackingStudy(**settings)
