@@ -1,4 +1,4 @@
-"""Lines and a status on a real pseudo-terminal, in a file, and where letters are missing.
+"""Lines and a status on a real pseudo-terminal, tables, and where letters are missing.
 
 Progress in a file is timed by a clock that is made up.
 """
@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from renet import terminal
-from renet.terminal import ERASE, Terminal
+from renet.terminal import ERASE, Terminal, show
 
 pytestmark = pytest.mark.wall_clock
 
@@ -163,3 +163,59 @@ def test_a_terminal_gets_a_bar_and_no_lines(clock, capsys, monkeypatch):
     shown = capsys.readouterr().err
     assert "100%" in shown
     assert "left" not in shown
+
+
+HEADER = ("", "policy", "entry", "robot", "share", "its interval", "over")
+ROWS = [
+    (1, "go1-parkour", "camera", "Unitree Go1", 0.5, "10.5 to 80.5", "episodes"),
+    (2, "go1-parkour", "oracle, handing over", "Unitree Go1", 0.5, "10.0 to 81.0", "episodes"),
+    (3, "playground", "blind", "Unitree Go1", 0.5, "0.5 to 12.0", "episodes"),
+]
+
+
+def shown(capsys, monkeypatch, width: int, rows=ROWS) -> list[list[str]]:
+    """Cells of each line of a table in a terminal of a width, below the title."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    show("title", HEADER, rows)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    assert lines[0].strip() == "title"
+    cells = [line.replace("┃", "│").strip("│").split("│") for line in lines[1:]]
+    return [[cell.strip() for cell in line] for line in cells if "━" not in line[0]]
+
+
+def test_a_wide_terminal_shows_a_row_on_a_line(capsys, monkeypatch):
+    header, *rows = shown(capsys, monkeypatch, 120)
+    assert tuple(header) == HEADER
+    assert rows[:3] == [list(map(str, row)) for row in ROWS]
+
+
+def test_words_that_every_row_repeats_give_way_first(capsys, monkeypatch):
+    told, header, *rows = shown(capsys, monkeypatch, 80)
+    assert told == ["robot: Unitree Go1; over: episodes"]
+    # The shares are alike, too, but numbers stay.
+    assert header == ["", "policy", "entry", "share", "its interval"]
+    assert rows[1] == ["2", "go1-parkour", "oracle, handing over", "0.5", "10.0 to 81.0"]
+
+
+def test_cells_wrap_between_words_in_as_few_lines_as_possible(capsys, monkeypatch):
+    _, _, *rows = shown(capsys, monkeypatch, 60)
+    assert rows[0] == ["1", "go1-parkour", "camera", "0.5", "10.5 to 80.5"]
+    assert rows[1] == ["2", "go1-parkour", "oracle,", "0.5", "10.0 to 81.0"]
+    assert rows[2] == ["", "", "handing over", "", ""]
+    assert rows[3][1:3] == ["playground", "blind"]
+
+
+@pytest.mark.parametrize("width", [20, 30, 45, 52])
+def test_nothing_is_lost_in_a_narrow_terminal(width, capsys, monkeypatch):
+    _, *lines = shown(capsys, monkeypatch, width)
+    lines = [line for line in lines if len(line) == 5]
+    columns = ["".join(cells).replace(" ", "") for cells in zip(*lines, strict=True)]
+    assert columns[1].startswith("policygo1-parkourgo1-parkourplayground")
+    assert columns[2].startswith("entrycameraoracle,handingoverblind")
+    assert columns[4].startswith("itsinterval10.5to80.510.0to81.00.5to12.0")
+
+
+def test_one_row_keeps_all_its_columns(capsys, monkeypatch):
+    header, *_ = shown(capsys, monkeypatch, 80, ROWS[:1])
+    assert len(header) == len(HEADER)

@@ -100,7 +100,7 @@ COMMANDS = {
         resume=KEPT,
     ),
     "play": _walk(
-        "film a bundle or checkpoint while its camera fails",
+        "film any policy while its camera fails",
         "renet.evaluation.play:PlayCfg:run_play",
     ),
     "deploy": _walk(
@@ -317,6 +317,7 @@ def parse(config: Any, arguments: list[str], program: str) -> Any:
     options = getattr(config, "tyro_flags", (tyro.conf.DisallowNone,))
     arguments = _with_positional_bundle(config, arguments)
     default = _default(config, arguments)
+    _demand_used(config, arguments, program)
     _demand_choices(default.get("default", config), arguments)
     return tyro.cli(config, args=arguments, prog=program, config=options, **default)
 
@@ -333,6 +334,17 @@ def _with_positional_bundle(config: Any, arguments: list[str]) -> list[str]:
     parser.add_argument("--bundle", nargs="?")
     options, others = parser.parse_known_args(arguments)
     return arguments if options.bundle is None else [options.bundle, *others]
+
+
+def _demand_used(config: Any, arguments: list[str], program: str) -> None:
+    """Raise RenetError for an option that other commands have, and this one has no use for.
+
+    The dataclass names them in `unused`, and hides them from tyro, which would know no such option.
+    """
+    for name in getattr(config, "unused", ()):
+        option = f"--{name.replace('_', '-')}"
+        if any(argument.partition("=")[0] == option for argument in arguments):
+            raise RenetError(f"`{program}` has no use for {option}: leave it out")
 
 
 def _demand_choices(config: Any, arguments: list[str]) -> None:

@@ -8,10 +8,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from functools import partial
+from itertools import count, zip_longest
 from queue import Full, Queue
 from shutil import get_terminal_size
+from textwrap import wrap
 from typing import Any, TypeVar
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -83,12 +86,132 @@ def encodable(text: str) -> str:
 
 
 def show(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-    """Print a table on standard output, with a title and a header above its rows."""
+    """Print a table on standard output, with a title and a header above its rows.
+
+    In a terminal that is too narrow for it, columns that say the same in every row are told once,
+    below the title, and the other columns' cells wrap between words.
+    """
     # Without markup, because cells may hold a stranger's texts.
-    table = Table(*header, title=printable(title), title_justify="left", title_style="bold")
-    for row in rows:
-        table.add_row(*(printable(str(cell)) for cell in row))
-    Console(markup=False, emoji=False).print(table)
+    console = Console(markup=False, emoji=False)
+    title = printable(title)
+    columns = []
+    for cells in zip_longest(header, *rows, fillvalue=""):
+        columns.append([printable(str(cell)) for cell in cells])
+    widths: list[int] = []
+    framed = True
+    if _table_width(list(map(_natural_width, columns))) > console.width:
+        columns, repeated = _split_repeated(columns)
+        title = "\n".join(filter(None, (title, repeated)))
+        # Without its outer frame, a table has more room for words.
+        framed = _table_width(list(map(_longest_word, columns))) <= console.width
+        widths = _shared_widths(columns, console.width - _table_width([0] * len(columns), framed))
+    table = Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        show_edge=framed,
+        pad_edge=framed,
+    )
+    for name, width in zip_longest((cells[0] for cells in columns), widths):
+        # A word that is longer than its column goes on in the next line.
+        table.add_column(name, width=width, overflow="fold")
+    for row in zip(*(cells[1:] for cells in columns), strict=True):
+        table.add_row(*row)
+    console.print(table)
+
+
+def _natural_width(cells: Sequence[str]) -> int:
+    """Width of a column whose cells do not wrap, characters."""
+    return max(map(cell_len, cells))
+
+
+def _longest_word(cells: Sequence[str]) -> int:
+    """Width of the longest word of a column, characters."""
+    words = " ".join(cells).split()
+    return max(map(cell_len, words), default=1)
+
+
+def _table_width(widths: Sequence[int], framed: bool = True) -> int:
+    """Width of a table with columns of these widths, characters."""
+    # A line and a space on either side separate two columns; the frame has the outer ones.
+    return sum(widths) + 3 * (len(widths) - 1) + 4 * framed
+
+
+def _split_repeated(columns: Sequence[list[str]]) -> tuple[list[list[str]], str]:
+    """Columns whose cells differ from row to row, and what the others say, in words.
+
+    The first column, which names the rows, and columns of numbers stay.
+    """
+    kept = []
+    repeated = []
+    for column in columns:
+        name, *cells = column
+        words = len(cells) > 1 and cells[0][:1].isalpha()
+        if kept and words and len(set(cells)) == 1:
+            repeated.append(f"{name}: {cells[0]}")
+        else:
+            kept.append(column)
+    return kept, "; ".join(repeated)
+
+
+def _shared_widths(columns: Sequence[Sequence[str]], room: int) -> list[int]:
+    """Widths of columns that have some room together, characters.
+
+    Words are kept whole where that is possible, and rows have as few lines as possible. Room that
+    is left goes to the columns in which it saves the most lines.
+    """
+    widths = list(map(_longest_word, columns))
+    if sum(widths) > room:
+        # The longest words are broken.
+        while sum(widths) > max(room, len(widths)):
+            widths[widths.index(max(widths))] -= 1
+        return widths
+    # With enough lines, each column is as narrow as its longest word.
+    for lines in count(1):
+        widths = [_least_width(cells, lines) for cells in columns]
+        if sum(widths) <= room:
+            break
+    return _widened(columns, widths, room)
+
+
+def _widened(columns: Sequence[Sequence[str]], widths: Sequence[int], room: int) -> list[int]:
+    """Widths that grow as long as that saves lines within a room, characters."""
+    wider = list(widths)
+    while True:
+        steps = []
+        spare = room - sum(wider)
+        for place, cells in enumerate(columns):
+            lines = _line_total(cells, wider[place])
+            for step in range(1, min(spare, _natural_width(cells) - wider[place]) + 1):
+                saved = lines - _line_total(cells, wider[place] + step)
+                if saved:
+                    steps.append((saved / step, place, step))
+        if not steps:
+            return wider
+        # The step with the most lines for a character.
+        _, place, step = max(steps)
+        wider[place] += step
+
+
+def _line_total(cells: Sequence[str], width: int) -> int:
+    """Number of lines of all cells of a column."""
+    return sum(_line_count(cell, width) for cell in cells)
+
+
+def _least_width(cells: Sequence[str], lines: int) -> int:
+    """Smallest width of a column that keeps words whole, with so many lines for each cell at most.
+
+    Its name, the first of the cells, may have more.
+    """
+    width = _longest_word(cells)
+    while any(_line_count(cell, width) > lines for cell in cells[1:]):
+        width += 1
+    return width
+
+
+def _line_count(cell: str, width: int) -> int:
+    """Number of lines of a text that wraps between words; an empty one has a line, too."""
+    return max(1, len(wrap(cell, width, break_on_hyphens=False)))
 
 
 Listener = Callable[[str, int, int], None]

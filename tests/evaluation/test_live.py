@@ -76,7 +76,7 @@ def test_a_walk_is_shown_at_the_clocks_pace_until_the_window_is_closed(monkeypat
     )
     monkeypatch.setattr(live, "time", clock)
     monkeypatch.setattr("renet.evaluation.play.open_view", lambda *_: view)
-    with watching(PlayCfg(modes=("switch", "memory")), view) as on_step:
+    with watching(PlayCfg(), view, ("switch", "memory")) as on_step:
         ends = [on_step(step) for step in range(6)]
     assert ends == [False] * 4 + [True] * 2
     assert [poses.shape for poses in view.shown] == [(2, 19)] * 3

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import onnx
+import onnx.parser
 import pytest
 
 from renet.bundle import Bundle, pretrained
@@ -18,6 +20,7 @@ from renet.robots import GO1
 from renet.tasks import VISUAL_GO1
 
 CHECKPOINT = pretrained("checkpoint")
+THEIRS = {"policy": Path("mine.onnx"), "adapter": "onnx-depth"}
 
 
 @pytest.mark.parametrize(
@@ -29,12 +32,15 @@ CHECKPOINT = pretrained("checkpoint")
         ({"scene": Path("nowhere.obj")}, "nowhere.obj is no ground"),
         ({"fault": ("gremlins@1s",)}, "unknown fault 'gremlins'"),
         ({"modes": ("eyes",)}, "modes eyes: choose"),
-        ({"modes": ()}, "modes none: choose"),
         ({"seconds": 0.1}, "at least one second"),
         ({"out": Path("film")}, "a film is an .mp4: give --out film.mp4"),
         ({"bundle": Path("nowhere")}, "nowhere"),
         ({"bundle": Path(__file__).parent}, "no checkpoint"),
         ({"bundle": Path(__file__)}, "`renet evaluate log` draws a recording"),
+        ({"policy": Path("mine.onnx")}, "give --policy FILE and --adapter together"),
+        (THEIRS | {"bundle": Path("go1-parkour")}, "give --policy or --bundle, not both"),
+        (THEIRS | {"modes": ("camera",)}, "a policy with an adapter has no modes: leave out"),
+        (THEIRS, r"the policy mine\.onnx does not exist"),
     ],
 )
 def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message):
@@ -49,6 +55,61 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
     film = run_play(replace(cfg, seconds=1.0, viewer="none"))
     assert film.stat().st_size > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+
+
+CONSTANT = """
+<ir_version: 8, opset_import: ["" : 17]>
+constant (float[N, 45] observation, float[N, 48, 64] depth) => (float[N, 12] action)
+{
+    starts = Constant <value_ints = [0]> ()
+    ends = Constant <value_ints = [12]> ()
+    axes = Constant <value_ints = [1]> ()
+    part = Slice (observation, starts, ends, axes)
+    action = Sub (part, part)
+}
+"""
+
+
+@pytest.fixture
+def films(monkeypatch):
+    """The trace and the titles of each film, in place of drawing it."""
+    drawn = []
+
+    def keep(path, spec, trace, titles, fault):
+        drawn.append((trace, titles))
+        return path
+
+    monkeypatch.setattr(video, "film", keep)
+    return drawn
+
+
+def test_somebody_elses_policy_walks_with_a_failing_and_a_healthy_camera(tmp_path, films):
+    onnx.save(onnx.parser.parse_model(CONSTANT), tmp_path / "constant.onnx")
+    cfg = PlayCfg(policy=tmp_path / "constant.onnx", adapter="onnx-depth", out=tmp_path / "a.mp4")
+    run_play(replace(cfg, terrain="flat", fault=("blackout@0.5s",), seconds=1.0, viewer="none"))
+    ((trace, titles),) = films
+    assert titles == {0: "healthy", 1: "camera"}
+    # Twins, side by side, whose policy does nothing with its images.
+    healthy, failing = trace.film.poses[..., 2:].swapaxes(0, 1)
+    np.testing.assert_allclose(healthy, failing, atol=1e-4)
+    assert not trace.failing[:, 0].any()
+    np.testing.assert_array_equal(np.flatnonzero(trace.failing[:, 1]), np.arange(25, 50))
+
+
+def test_a_policy_without_a_camera_walks_alone(tmp_path, films):
+    text = '<ir_version: 8, opset_import: ["" : 17]>\nt (float[N, 12] x) => (float[N, 12] y)'
+    onnx.save(onnx.parser.parse_model(f"{text} {{ y = Sub (x, x) }}"), tmp_path / "none.onnx")
+    (tmp_path / "mine.py").write_text(
+        "from renet.evaluation.adapters import base\n\n\n"
+        "class Adapter(base.Adapter):\n"
+        "    def act(self, senses):\n"
+        "        return senses.joint_position + self.model.run(senses.joint_position)[0]\n"
+    )
+    cfg = PlayCfg(policy=tmp_path / "none.onnx", adapter=str(tmp_path / "mine.py"))
+    run_play(replace(cfg, terrain="flat", out=tmp_path / "a.mp4", seconds=1.0, viewer="none"))
+    ((trace, titles),) = films
+    assert titles == {0: "blind"}
+    assert not trace.vision.any()
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
-"""Films of a bundle or a checkpoint whose camera fails, on any ground: `renet play`."""
+"""Films of a policy whose camera fails, on any ground: `renet play`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,8 @@ import tyro
 
 from renet.bundle import MANIFEST, find_bundle
 from renet.errors import RenetError
+from renet.evaluation.adapters.options import PolicyOptions
+from renet.evaluation.benchmark.modes import HEALTHY
 from renet.evaluation.live import STEPS_PER_PICTURE, Pacer, Viewer, open_view
 from renet.evaluation.results import output_folder
 from renet.evaluation.rollout import (
@@ -28,10 +30,14 @@ from renet.interface import CONTROL_DT, Engine, Terrain
 
 if TYPE_CHECKING:
     from renet.evaluation.env import SimEnv
+    from renet.evaluation.evaluator import Evaluator
+
+DEFAULT_MODES = ("switch", "memory")
+"""Modes of a bundle that are compared by default."""
 
 
 @dataclass(frozen=True)
-class PlayCfg:
+class PlayCfg(PolicyOptions):
     """Watch a robot in each of several policy modes, and film them side by side.
 
     By default its camera is unplugged half a second before a gap of 37 cm.
@@ -55,8 +61,10 @@ class PlayCfg:
     fault: tuple[str, ...] = ("unplugged@1.5s",)
     """Faults of the camera, NAME[:SEVERITY]@SECONDS[+DURATION], such as blackout:3@5s+2s; none with
     --fault alone."""
-    modes: tuple[StudyMode, ...] = ("switch", "memory")
-    """Policy modes to compare."""
+    modes: tuple[StudyMode, ...] = ()
+    """Policy modes to compare; by default switch and memory. A policy with an adapter walks as
+    camera and, beside it, as healthy, with a camera that never fails; or as blind if it reads no
+    image."""
     seconds: float = 8.0
     """Simulated time, s."""
     speed: float = 0.6
@@ -74,7 +82,7 @@ class PlayCfg:
 def _use_of(path: Path) -> str:
     """Command for a file that is no bundle, in words."""
     if path.suffix in (".onnx", ".pt"):
-        return "`renet evaluate benchmark --policy FILE --adapter NAME` walks a policy"
+        return "`renet play --policy FILE --adapter NAME` walks a policy"
     return "`renet evaluate log` draws a recording"
 
 
@@ -97,35 +105,72 @@ def bundle_folder(path: Path | None) -> Iterator[Path | None]:
         yield export(ExportCfg(checkpoint=folder, out=Path(temporary) / folder.name))
 
 
-def run_play(cfg: PlayCfg) -> Path:
-    """Run and film the robots and return the film's path; raises RenetError for wrong settings."""
-    out = cfg.out or Path("results/play.mp4")
+@contextmanager
+def opened(cfg: PlayCfg) -> Iterator[tuple[Evaluator, Mapping[str, str]]]:
+    """Evaluator of the settings' policy, and the rollout's mode of each robot by its title.
+
+    Raises RenetError for a bundle or a policy that cannot be used.
+    """
+    adapted = cfg.open_policy(cfg.engine)
+    if adapted is not None:
+        # The last robot is the one that a live view shows best: the one whose camera fails.
+        yield adapted, dict(reversed(adapted.entries.items()))
+        return
+    from renet.evaluation.evaluator import Evaluator
+
+    with bundle_folder(cfg.bundle) as folder:
+        modes = cfg.modes or DEFAULT_MODES
+        yield Evaluator(folder, cfg.engine), dict(zip(modes, modes, strict=True))
+
+
+def check_play(cfg: PlayCfg) -> None:
+    """Raise RenetError for settings that no film can have."""
+    out = film_path(cfg)
     if out.suffix != ".mp4":
         raise RenetError(f"a film is an .mp4: give --out {out.name}.mp4, not {out.name}")
     check_finite(cfg)
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
-    check_modes(cfg.modes)
+    cfg.check_policy(cfg.bundle)
+    if cfg.policy is not None and cfg.modes:
+        raise RenetError(
+            "a policy with an adapter has no modes: leave out --modes, which choose among a"
+            " bundle's models"
+        )
+    if cfg.modes:
+        check_modes(cfg.modes)
+
+
+def film_path(cfg: PlayCfg) -> Path:
+    """Path of the film."""
+    return cfg.out or Path("results/play.mp4")
+
+
+def run_play(cfg: PlayCfg) -> Path:
+    """Run and film the robots and return the film's path; raises RenetError for wrong settings."""
+    check_play(cfg)
     faults = tuple(map(parse_fault, cfg.fault))
-    trials = [Trial(mode, faults) for mode in cfg.modes]
-    rows = range(len(trials))
     steps = round(cfg.seconds / CONTROL_DT)
-    # The imports below take seconds; wrong settings fail before them.
-    from renet.evaluation.evaluator import Evaluator
+    out = film_path(cfg)
+    # These imports take seconds; wrong settings fail before them.
     from renet.evaluation.video import film
 
-    with bundle_folder(cfg.bundle) as folder:
-        evaluator = Evaluator(folder, cfg.engine)
+    with opened(cfg) as (evaluator, modes):
+        trials = []
+        for title, mode in modes.items():
+            trials.append(Trial(mode, () if title == HEALTHY else faults))
+        rows = range(len(trials))
         task = ground_of(cfg)
         output_folder(out.parent)
         # All robots are twins.
         env = evaluator.make_env(task, [0] * len(rows), cfg.speed, cfg.seed)
         rollout = evaluator.rollout(env, trials, cfg.seed)
+    titles = list(modes)
     ground = cfg.terrain if cfg.scene is None else cfg.scene.name
-    with watching(cfg, env) as on_step:
+    with watching(cfg, env, titles) as on_step:
         trace = rollout.run(steps, f"{ground}, {len(rows)} robots", film=rows, on_step=on_step)
     name = ", ".join(fault.fault for fault in faults)
-    return film(out, env.scene_spec, trace, dict(enumerate(cfg.modes)), name)
+    return film(out, env.scene_spec, trace, dict(enumerate(titles)), name)
 
 
 def ground_of(cfg: PlayCfg) -> Any:
@@ -140,17 +185,21 @@ def ground_of(cfg: PlayCfg) -> Any:
 
 
 @contextmanager
-def watching(cfg: PlayCfg, env: SimEnv) -> Iterator[Callable[[int], bool]]:
+def watching(cfg: PlayCfg, env: SimEnv, titles: Sequence[str]) -> Iterator[Callable[[int], bool]]:
     """Function to call after each control step, which updates the live view if there is one.
 
     It returns True once the window is closed.
+
+    Args:
+        cfg: settings with the place of the view.
+        env: environment of the robots, whose titles are [N].
     """
-    view = open_view(cfg.viewer, env.scene_spec, cfg.modes)
+    view = open_view(cfg.viewer, env.scene_spec, titles)
     if view is None:
         yield lambda step: False
         return
     pacer = Pacer()
-    robots = range(len(cfg.modes))
+    robots = range(len(titles))
 
     def on_step(step: int) -> bool:
         if step % STEPS_PER_PICTURE == 0:

@@ -29,6 +29,31 @@ def test_the_best_comes_first_and_leads_are_of_the_first_file():
     assert "it: worse, memory" in title
 
 
+def test_equal_differences_have_no_interval():
+    _, header, rows = leaderboard.ranking([result(GOOD, "ours"), result(GOOD, "same")])
+    assert rows[1][header.index("behind it")] == "+0.0 (all alike)"
+    half = leaderboard.ranking([result(BAD)])[2][0]
+    assert half[header.index("95 %")] == "all alike"
+
+
+def test_counts_are_of_obstacles_and_of_episodes():
+    _, header, rows = leaderboard.counts(result([2] * 9 + [1]))
+    cells = dict(zip(header[:4], rows[0][:4], strict=True))
+    # Clopper and Pearson's interval of 9 in 10, from their table.
+    assert cells == {
+        "entry": "memory",
+        "obstacles crossed": "19 of 20",
+        "courses crossed": "9 of 10",
+        "95 %": "55.5 to 99.7",
+    }
+    assert rows[0][4:] == ("1 of 10", "0.3 to 44.5")
+
+
+def test_the_measures_say_of_how_many_episodes_they_are():
+    title = leaderboard.measures([result(GOOD)])[0]
+    assert title == "Measures: 10 episodes with loud faults, 10 with lies, 4 of strangers"
+
+
 def test_three_trainings_of_a_method_are_one_line():
     trainings = [result(crossed, f"t{i}", "ours") for i, crossed in enumerate((GOOD, BAD, GOOD))]
     _, header, rows = leaderboard.ranking(trainings)
@@ -78,6 +103,24 @@ def test_every_line_of_the_markdown_has_all_cells(tmp_path):
     out = leaderboard.make_leaderboard(leaderboard.LeaderboardCfg((file,), tmp_path / "out.md"))
     head, rule, first = out.read_text().splitlines()[2:5]
     assert head.count("|") == rule.count("|") == first.count("|")
+
+
+def test_names_are_whole_in_a_terminal_of_80_columns(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    files = []
+    for name, entry in (("go1-parkour", "oracle, handing over"), ("robot-lab", "blind")):
+        content = result(GOOD, name, entry=entry)
+        content["policy"]["robot"] = "Unitree Go1"
+        files.append(write(tmp_path / f"{name}.json", content))
+    leaderboard.make_leaderboard(leaderboard.LeaderboardCfg((*files,), tmp_path / "out.md"))
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "…" not in shown
+    words = shown.split()
+    # In the ranking and the measures.
+    for word in ("go1-parkour", "robot-lab", "handing", "stranger"):
+        assert word in words
+    assert words.count("robot-lab") == 2
 
 
 def test_no_file_is_told():

@@ -18,6 +18,13 @@ def test_a_score_is_the_mean_share_of_obstacles():
     assert found["ci95_low"] < found["score"] < found["ci95_high"]
 
 
+@pytest.mark.parametrize(("crossed", "limits"), [(0, (0.0, 0.30850)), (2, (0.69150, 1.0))])
+def test_ten_episodes_that_end_alike_leave_room_for_others(crossed, limits):
+    # 0.025 is the probability of ten misses in a row at a share of 0.3085.
+    found = scores.score_rows([row(episode, crossed) for episode in range(10)])
+    assert (found["ci95_low"], found["ci95_high"]) == pytest.approx(limits, abs=1e-5)
+
+
 def test_energy_is_of_those_that_walked():
     assert scores.score_rows(ROWS)["energy_per_metre"] == pytest.approx(200.0)
     assert scores.score_rows([ROWS[1]])["energy_per_metre"] is None

@@ -54,9 +54,10 @@ def test_a_run_leaves_a_result_that_can_be_read(study, tmp_path):
 
 
 def test_the_tables_have_a_line_for_each_entry(study):
-    ranking, measures, families = study.tables(study.run())
+    ranking, measures, counts, families = study.tables(study.run())
     assert [line[2] for line in ranking[2]] == ["memory", "blind"]
     assert [line[1] for line in measures[2]] == ["memory", "blind"]
+    assert [line[0] for line in counts[2]] == ["memory", "blind"]
     assert [name for name, *_ in families[2]] == ["dark", "mount"]
 
 
@@ -83,7 +84,7 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
     summary = short.run()
     assert {run["episode"] for run in summary["runs"]} == set(range(10))
     assert not (tmp_path / "result.json").exists()
-    assert "first 10 episodes" in short.tables(summary)[0][0]
+    assert "first 10 of 200 episodes" in short.tables(summary)[0][0]
     walked = []
     walk = Walked.walk
     monkeypatch.setattr(
@@ -99,7 +100,10 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
     [
         ({"entries": ("memory", "memory")}, "give each of them once"),
         ({"entries": ("renet",)}, "unknown entry 'renet': choose among memory"),
-        ({"conditions": "training"}, "conditions and motors of its own"),
+        ({"conditions": "training"}, "has its own: leave out --conditions$"),
+        ({"seed": 2, "motors": "go1"}, "has its own: leave out --seed and --motors$"),
+        ({"verify": "r.json", "quick": True}, "--verify walks ten episodes .* leave out --quick$"),
+        ({"verify": "r.json", "draw_seed": 5, "shard": "1/2"}, "leave out --draw-seed and --shard"),
         ({"policy": "x.onnx"}, "give --policy FILE and --adapter together"),
         ({"policy": "x", "adapter": "himloco", "bundle": "b"}, "not both"),
         ({"draw_seed": -1}, "draw seed must be at least 0"),
@@ -137,10 +141,24 @@ def test_a_true_result_holds(study, claimed):
     assert "20 of 20 walks end as the file says" in verification.verify(study, claimed)
 
 
-def test_the_verdict_is_the_commands_last_line(study, claimed, tmp_path):
-    verifying = replace(study, verify=claimed, out=tmp_path / "unused")
-    assert "walks end as the file says" in verifying.main()
+def test_the_verdict_is_the_commands_last_line(claimed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    verifying = Walked(entries=("memory", "blind"), verify=claimed)
+    assert "walks end as the file says" in str(verifying.main())
     assert not verifying.out.exists()
+
+
+@pytest.mark.parametrize("words", [["--seed", "1"], ["--conditions=nominal"], ["--motors", "go1"]])
+def test_options_without_use_are_hidden_and_refused_in_one_line(words, capsys):
+    option = words[0].partition("=")[0]
+    with pytest.raises(SystemExit):
+        main(["evaluate", "benchmark", "--help"])
+    told = capsys.readouterr().out
+    assert "--draw-seed" in told
+    assert option not in told
+    assert main(["evaluate", "benchmark", *words]) == 2
+    error = capsys.readouterr().err
+    assert error == f"renet: `renet evaluate benchmark` has no use for {option}: leave it out\n"
 
 
 def test_a_polished_result_does_not_hold(study, claimed):

@@ -86,7 +86,7 @@ def _told(model: Model, kind: type[Adapter]) -> Iterator[None]:
         yield
     except MisfitError as error:
         own = not kind.__module__.startswith("renet.")
-        advice = f"mend {_place(error, kind).rstrip(',')}" if own else "choose another --adapter"
+        advice = f"mend {_place(error, kind)}" if own else "choose another --adapter"
         raise RenetError(f"{error}; {advice}") from error
     except RenetError:
         raise
@@ -100,12 +100,12 @@ def _told(model: Model, kind: type[Adapter]) -> Iterator[None]:
 
 
 def _place(error: Exception, kind: type[Adapter]) -> str:
-    """Name an adapter's file, with its line at which an error arose, if it was there."""
+    """Name an adapter, and its line at which an error arose, if it was there."""
     file = kind.act.__code__.co_filename
     name = f"adapter {Path(file).name}"
     for frame in reversed(extract_tb(error.__traceback__)):
         if frame.filename == file:
-            return f"{name}, line {frame.lineno},"
+            return f"line {frame.lineno} of {name}"
     return name
 
 

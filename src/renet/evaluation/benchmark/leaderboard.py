@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from renet.errors import RenetError
+from renet.evaluation.benchmark.episodes import EPISODES
 from renet.evaluation.benchmark.results import BENCHMARK_VERSION, read_result, rows_of_entry
 from renet.evaluation.benchmark.scores import (
     LEAST_TRAININGS,
@@ -20,6 +21,7 @@ from renet.evaluation.benchmark.scores import (
     lead,
     score_rows,
 )
+from renet.evaluation.metrics import share_interval
 from renet.evaluation.results import Table, column, markdown
 from renet.files import write_atomically
 from renet.terminal import show
@@ -124,10 +126,17 @@ def ranking(results: Sequence[Result]) -> Table:
     for place, entry in enumerate(rank_entries(results), start=1):
         rows.append(_line(place, entry, reference))
     title = (
-        f"renet-faults, version {BENCHMARK_VERSION}, {results[0]['episodes']} episodes;"
+        f"renet-faults, version {BENCHMARK_VERSION}, {_episodes(results[0])};"
         f" it: {reference.method}, {reference.name}"
     )
     return title, _COLUMNS, rows
+
+
+def _episodes(result: Result) -> str:
+    """A result's episodes and their number, in words."""
+    count = len(rows_of_entry(result, next(iter(result["scores"]))))
+    words = {"full": f"all {count} episodes", "sealed": f"{count} sealed episodes"}
+    return words.get(result["episodes"], f"first {count} of {EPISODES} episodes")
 
 
 def _line(place: int, entry: LeaderboardEntry, reference: LeaderboardEntry) -> tuple[str, ...]:
@@ -136,31 +145,61 @@ def _line(place: int, entry: LeaderboardEntry, reference: LeaderboardEntry) -> t
     # The reference has no difference to itself.
     difference = "-"
     if entry != reference:
-        points = 100 * np.array(lead(_mean_rows(reference), _mean_rows(entry)))
-        difference = "{:+.1f} ({:+.1f} to {:+.1f})".format(*points)
+        points = lead(_mean_rows(reference), _mean_rows(entry))
+        mean, least, most = (100 * point for point in points)
+        difference = f"{mean:+.1f} ({_interval(least, most, '+.1f')})"
     return (
         str(place),
         entry.method,
         entry.name,
         entry.robot,
         _percent(entry.scores["score"]),
-        f"{_percent(low)} to {_percent(high)}",
+        _interval(100 * low, 100 * high, ".1f"),
         over,
         difference,
     )
 
 
+def _interval(low: float, high: float, digits: str) -> str:
+    """An interval in words; one without width, as of a bootstrap of equal numbers, is none."""
+    return "all alike" if low == high else f"{low:{digits}} to {high:{digits}}"
+
+
 def measures(results: Sequence[Result]) -> Table:
     """Table of the entries' other measures, in the ranking's order, with shares in per cent."""
     rows = []
-    for entry in rank_entries(results):
+    entries = rank_entries(results)
+    for entry in entries:
         scores = entry.scores
         cells = []
         for name in _MEASURES:
             text = _percent if name in _SHARES else _number
             cells.append(text(scores[name]))
         rows.append((entry.method, entry.name, *cells))
-    return "Measures", ("policy", "entry", *_MEASURES.values()), rows
+    # All entries walk the same episodes.
+    episodes = entries[0].trainings[0]
+    lies = sum(column(episodes, "lie"))
+    title = (
+        f"Measures: {len(episodes) - lies} episodes with loud faults, {lies} with lies,"
+        f" {sum(column(episodes, 'stranger'))} of strangers"
+    )
+    return title, ("policy", "entry", *_MEASURES.values()), rows
+
+
+def counts(result: Result) -> Table:
+    """Table of obstacles and episodes, each of how many, by entry; intervals are in per cent."""
+    rows = []
+    for entry in result["scores"]:
+        episodes = rows_of_entry(result, entry)
+        crossed = sum(column(episodes, "crossed"))
+        cells = [f"{crossed} of {sum(column(episodes, 'obstacles'))}"]
+        for name in ("arrived", "fell"):
+            ends = np.array(column(episodes, name))
+            low, high = share_interval(ends)
+            cells += [f"{ends.sum()} of {len(ends)}", _interval(100 * low, 100 * high, ".1f")]
+        rows.append((entry, *cells))
+    header = ("entry", "obstacles crossed", "courses crossed", "95 %", "falls", "95 %")
+    return "Counts, with intervals of their shares", header, rows
 
 
 def _mean_rows(entry: LeaderboardEntry) -> list[dict[str, Any]]:

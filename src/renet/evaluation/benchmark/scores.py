@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from renet.evaluation.metrics import bootstrap_interval
+from renet.evaluation.metrics import bootstrap_interval, share_interval
 from renet.evaluation.results import column, group_by
 
 if TYPE_CHECKING:
@@ -52,18 +52,31 @@ def crossed_shares(rows: Sequence[EpisodeRow]) -> np.ndarray:
     return np.array(column(rows, "crossed")) / np.array(column(rows, "obstacles"))
 
 
+def score_interval(crossed: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the mean of shares [n], one for each episode; n > 0.
+
+    It is bootstrapped. Where every share is 0, or every one is 1, as of a policy that does not walk
+    in a few episodes, a bootstrap has nothing to draw but that, and its interval no width: then it
+    is Clopper and Pearson's, which holds for shares, too. It has no width where all shares are
+    alike in between.
+    """
+    if crossed.max() == 0.0 or crossed.min() == 1.0:
+        return share_interval(crossed)
+    return bootstrap_interval(crossed)
+
+
 def score_rows(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
     """Scores of one entry from its rows.
 
     Returns:
-        By name: `score`, the mean share of the obstacles crossed over episodes, with a 95 %
-        interval bootstrapped over episodes; `loud`, `lies` and `stranger`, the same of the episodes
+        By name: `score`, the mean share of the obstacles crossed over episodes, with the
+        `score_interval` over episodes; `loud`, `lies` and `stranger`, the same of the episodes
         with such faults or robots; `falls`, the share of episodes that end in a fall;
         `energy_per_metre`, J/m; `peak_torque`, N m; `speed_error`, m/s. A measure without any
         episode is None.
     """
     crossed = crossed_shares(rows)
-    low, high = bootstrap_interval(crossed)
+    low, high = score_interval(crossed)
     lie = np.array(column(rows, "lie"), bool)
     stranger = np.array(column(rows, "stranger"), bool)
     # A robot that stands still would have an infinite energy per metre.

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
+import tyro
+
 from renet.errors import RenetError
+from renet.evaluation.adapters.options import PolicyOptions
 from renet.evaluation.benchmark.episodes import EPISODES, EPISODES_PER_BLOCK, SEED, draw_episodes
 from renet.evaluation.benchmark.families import SealedFaults
-from renet.evaluation.benchmark.leaderboard import family_table, measures, ranking
+from renet.evaluation.benchmark.leaderboard import counts, family_table, measures, ranking
 from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, ROLLOUT_MODES, EntryName
 from renet.evaluation.benchmark.results import SETS, demand_version_seed, make_result
 from renet.evaluation.benchmark.scores import EpisodeRow, by_family, rows_of, score_rows
 from renet.evaluation.results import group_by, write_json
+from renet.evaluation.rollout import Conditions
 from renet.evaluation.study import Part, Study, Table
 from renet.files import remove
 from renet.motor_models import IDEAL
@@ -23,18 +27,22 @@ from renet.motor_models import IDEAL
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
+_UNVERIFIED = ("out", "quick", "episodes", "method", "draw_seed", "jobs", "shard")
+"""Settings that the verification of a result, which walks one block of it, has no use for."""
+
 
 @dataclass(frozen=True)
-class BenchmarkStudy(Study):
+class BenchmarkStudy(Study, PolicyOptions):
     """Count the obstacles that robots cross while the camera fails: renet-faults, version 3."""
 
     out: Path = Path("results/benchmark")
     """Folder for summary.md, summary.json, summary.csv, result.json and parts/."""
-    policy: Path | None = None
-    """Model of another project, .onnx or TorchScript (.pt), in place of a bundle."""
-    adapter: str | None = None
-    """Adapter for its inputs and outputs: onnx-depth, extreme-parkour, playground, himloco,
-    robogauge, robot-lab, or a FILE.py of your own (docs/benchmark.md)."""
+    quick: bool = False
+    """Walk only the first 20 of the 200 episodes; such results are ranked among themselves."""
+    # Hidden, because every episode has its own: see `unused`.
+    seed: tyro.conf.Suppress[int] = 1
+    conditions: tyro.conf.Suppress[Conditions] = "nominal"
+    motors: tyro.conf.Suppress[str] = IDEAL
     entries: tuple[EntryName, ...] = ()
     """Ways to use the models; by default memory, switch, camera, blind and healthy. A policy with
     an adapter walks as camera and healthy, or as blind if it reads no image."""
@@ -49,10 +57,13 @@ class BenchmarkStudy(Study):
     draw_seed: int = SEED
     """Seed of the episodes. Another one is for experiments, and leaves no result.json."""
     verify: Path | None = None
-    """A result.json of the same policy: walk ten of its episodes again, and compare."""
+    """A result.json of the same policy: walk ten of its episodes again, compare, and write
+    nothing."""
 
     name: ClassVar[str] = "benchmark"
     selectable: ClassVar[tuple[str, ...]] = ("quick", "episodes", "method", "verify")
+    unused: ClassVar[tuple[str, ...]] = ("seed", "conditions", "motors")
+    """Options of all studies that this one has no use for; the command line refuses them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,12 +72,11 @@ class BenchmarkStudy(Study):
             raise RenetError("entries: give each of them once")
         if unknown := {*self.entries} - {*known}:
             raise RenetError(f"unknown entry {unknown.pop()!r}: choose among {', '.join(known)}")
-        if self.conditions != "nominal" or self.motors != IDEAL:
-            raise RenetError(
-                "the benchmark has conditions and motors of its own: leave out --conditions and"
-                " --motors"
-            )
-        self._check_policy()
+        if useless := self._changed(self.unused):
+            raise RenetError(f"every episode of the benchmark has its own: leave out {useless}")
+        if self.verify is not None and (useless := self._changed(_UNVERIFIED)):
+            raise RenetError(f"--verify walks ten episodes of a result: leave out {useless}")
+        self.check_policy(self.bundle)
         if self.draw_seed < 0:
             raise RenetError(f"draw seed must be at least 0, got {self.draw_seed}")
         if self.sealed is not None and self.quick:
@@ -88,25 +98,23 @@ class BenchmarkStudy(Study):
                 f"--episodes must be a multiple of {EPISODES_PER_BLOCK} up to {EPISODES}, got"
                 f" {self.episodes}"
             )
-        if self.quick or self.sealed is not None or self.verify is not None:
-            raise RenetError("give --episodes without --quick, --sealed and --verify")
+        if self.quick or self.sealed is not None:
+            raise RenetError("give --episodes without --quick and --sealed")
 
-    def _check_policy(self) -> None:
-        """Raise RenetError if a policy lacks its adapter, or comes with a bundle."""
-        if (self.policy is None) != (self.adapter is None):
-            raise RenetError(
-                "give --policy FILE and --adapter together: a name of docs/benchmark.md, or FILE.py"
-            )
-        if self.policy is not None and self.bundle is not None:
-            raise RenetError("give --policy or --bundle, not both")
+    def _changed(self, names: Sequence[str]) -> str:
+        """Options among these settings that are not at their defaults, in words."""
+        defaults = {field.name: field.default for field in fields(self)}
+        options = []
+        for name in names:
+            if getattr(self, name) != defaults[name]:
+                options.append(f"--{name.replace('_', '-')}")
+        return " and ".join(options)
 
     def make_evaluator(self) -> Evaluator:
         """Make the evaluator of the bundle, or of another project's policy."""
-        if self.policy is None or self.adapter is None:
+        evaluator = self.open_policy(self.engine)
+        if evaluator is None:
             return super().make_evaluator()
-        from renet.evaluation.adapters.evaluator import AdaptedEvaluator
-
-        evaluator = AdaptedEvaluator(self.policy, self.adapter, self.engine)
         # Raises for entries that the policy does not have.
         _ = self.modes(evaluator)
         return evaluator
@@ -189,9 +197,9 @@ class BenchmarkStudy(Study):
         return make_result(summary, method, summary["robot"], self.episode_set)
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The scores, the other measures, and the scores under each family of faults."""
+        """The scores, the other measures, counts, and the scores under each family of faults."""
         result = self._result(summary)
-        return [ranking([result]), measures([result]), family_table(result)]
+        return [ranking([result]), measures([result]), counts(result), family_table(result)]
 
     def main(self) -> str | None:
         """Run the study and print its tables, or verify a result; raises RenetError if it fails.
