@@ -1,4 +1,4 @@
-"""Hold the documents' numbers about the policy that ships to the files of its results.
+"""Hold the documents' numbers of results to the files of these results.
 
     python tools/tables.py           name the pages that differ from their results; exit code 1
     python tools/tables.py --fill    write their numbers
@@ -211,11 +211,57 @@ def go2(label: str) -> list[str]:
     return [", ".join(passed[kind, level] for level in sizes[kind]) for kind in sizes]
 
 
+def driven(label: str) -> list[str]:
+    """What robots did of a command in each of three studies, and how many fell."""
+    command = [float(number.replace("−", "-")) for number in label.split(", ")]
+    studies = (("commands", "camera"), ("commands", "blind"), ("commands_training", "camera"))
+    cells = []
+    for study, mode in studies:
+        runs = runs_of(f"driving/{study}")
+        (run,) = [run for run in runs if run["command"] == command and run["mode"] == mode]
+        done = ", ".join(f"{number:.2f}" for number in run["done"])
+        done = done.replace("-0.00", "0.00").replace("-", "−")
+        falls = run["falls"]
+        cells.append(f"{done} ({falls} fell)" if falls else done)
+    return cells
+
+
+def driven_over(label: str) -> list[str]:
+    """Who of 20 crosses with one try, on each kind of motors."""
+    file = {"ideal": "success", "a Go1's, in training's conditions": "success_go1"}[label]
+    passed = {}
+    for run in runs_of(f"driving/{file}"):
+        passed[run["kind"], run["level"]] = str(run["passed"])
+    columns = [("gap", 8), ("gap", 10), ("platform", 6), ("platform", 8), ("platform", 10)]
+    columns += [("stairs_up", 7), ("stairs_up", 10), ("stairs_down", 10)]
+    return [passed[column] for column in columns]
+
+
+def driven_to_edges(label: str) -> list[str]:
+    """Who of 20 falls at a barrier, or does not get away from an edge."""
+    if label.startswith("backward from "):
+        kind = label.removeprefix("backward from ").replace(" ", "_")
+        backing = [run for run in runs_of("driving/backing") if run["kind"] == kind]
+        return [", ".join(f"{run['robots'] - run['backed']} ({run['mode']})" for run in backing)]
+    kind, angle = re.fullmatch(r"ahead at a (\w+), (\d+)°", label).groups()
+    key = kind, float(angle)
+    (stop,) = [run for run in runs_of("driving/stops") if (run["kind"], run["angle_deg"]) == key]
+    return [f"{stop['falls']} ({stop['mode']})"]
+
+
+def runs_of(name: str) -> list[dict[str, Any]]:
+    """The rows of a study in benchmarks/results."""
+    return json.loads((RESULTS / f"{name}.json").read_text())["runs"]
+
+
 TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("docs/results.md", "Obstacles"): one_try,
     ("docs/results.md", "Grass"): grass,
     ("docs/results.md", "Other switches"): switches,
     ("docs/results.md", "Standing"): standing,
+    ("docs/results.md", "Driven on flat ground"): driven,
+    ("docs/results.md", "Driven over obstacles"): driven_over,
+    ("docs/results.md", "Driven to edges"): driven_to_edges,
     ("docs/memory.md", "Where memory ends"): reach,
     ("docs/memory.md", "Measure it"): black,
     ("docs/results.md", "Go2, one try"): go2,
