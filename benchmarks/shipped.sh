@@ -32,7 +32,7 @@ study grass faults --faults tall_grass --onsets 1.5 --healthy-minutes 0 --modes 
 study camera_use camera-use
 study margins margins --quick --seconds 5
 python benchmarks/filter.py && cp results/filter/summary.json benchmarks/results/shipped/filter.json
-python benchmarks/first_walk.py --json benchmarks/results/shipped/first_walk.json
+python benchmarks/first_walk.py --json benchmarks/results/first_walk.json
 before_the_edge="--severities 5 --onsets 1.5 --healthy-minutes 0"
 study severity_5 faults $before_the_edge --modes camera memory blind
 study severity_5_rules faults $before_the_edge --modes switch oracle

@@ -85,7 +85,7 @@ def test_counts_in_a_sentence_are_filled(monkeypatch):
 
 
 def test_the_first_commands_are_those_that_were_walked():
-    walks = result("shipped/first_walk.json")
+    walks = result("first_walk.json")
     readme = (ROOT / "README.md").read_text()
     assert tables.first_walk(readme.replace(" of 25](", " of 26](")) == readme, "it has the counts"
     for mode in walks["crossed"]:

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from renet.evaluation.figures import STYLE, save_figure
 from renet.evaluation.metrics import with_share_interval
 from renet.evaluation.results import Provenance, select
+from renet.evaluation.studies.commands import CommandStudy
 from renet.evaluation.studies.faults import crossed_table
 from renet.evaluation.studies.margins import MarginsStudy
 from renet.evaluation.studies.memory import MemoryStudy
@@ -60,8 +61,14 @@ def crossed(summary: dict[str, Any]) -> Figure:
     return crossed_table(modes)
 
 
+def driven(summary: dict[str, Any]) -> Figure:
+    """Velocities asked for and done."""
+    return CommandStudy().draw(summary, {})["commands.png"]
+
+
 FIGURES = {
     "crossed": ("shipped/severity_5", crossed),
+    "driven": ("driving/commands", driven),
     "go2_memory": ("go2/memory", memory),
     "margins": ("shipped/margins", margins),
     "memory": ("shipped/memory", memory),

@@ -279,7 +279,7 @@ None: a leaderboard, whose rows are all new."""
 
 def first_walk(page: str) -> str:
     """Fill a page's counts of walks that cross, each a link with the mode after it."""
-    walks = result("first_walk")
+    walks = result("../first_walk")
 
     def count(link: re.Match[str]) -> str:
         return f"[{walks['crossed'][link['mode']]} of {walks['seeds']}]{link['rest']}"

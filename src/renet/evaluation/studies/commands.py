@@ -197,7 +197,7 @@ def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
 
 def asked_and_done(runs: list[dict[str, Any]], modes: tuple[str, ...]) -> Figure:
     """Figure of the velocities and turn rates asked for, as rings, and done, as dots."""
-    figure, (plane, turns) = plt.subplots(1, 2, figsize=(9, 4.2))
+    figure, (plane, turns) = plt.subplots(1, 2, figsize=(figures.WIDTH, 3.6))
     for mode in modes:
         mine = [run for run in select(runs, mode=mode) if run["done"] is not None]
         if not mine:
@@ -214,9 +214,9 @@ def asked_and_done(runs: list[dict[str, Any]], modes: tuple[str, ...]) -> Figure
     ring = {"markerfacecolor": "none", "color": figures.INK, "markersize": 10, "linestyle": ""}
     plane.plot(asked[:, 1], asked[:, 0], "o", label="asked for", **ring)
     plane.invert_xaxis()
-    plane.set(xlabel="sideways, left to the left (m/s)", ylabel="ahead (m/s)")
+    plane.set(xlabel="to the left (m/s)", ylabel="ahead (m/s)")
     plane.set_aspect("equal", "datalim")
     turns.plot((-1.1, 1.1), (-1.1, 1.1), color=figures.FAINT, linewidth=1)
-    turns.set(xlabel="turn rate asked for (rad/s)", ylabel="turn rate done (rad/s)")
+    turns.set(xlabel="turn rate asked (rad/s)", ylabel="turn rate done (rad/s)")
     figures.legend(figure, plane)
     return figure
