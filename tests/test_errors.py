@@ -13,6 +13,7 @@ import pytest
 from renet import cli
 from renet.bundle import SHIPPED, pretrained
 from renet.errors import obstacle
+from renet.page.writer import WEB
 
 WALK = ("deploy", "--camera", "sim", "--seconds", "0.1")
 SCENE = (*WALK, "--scene")
@@ -102,8 +103,16 @@ def line(capsys, *arguments: str) -> str:
     return line
 
 
+def demand_packages() -> None:
+    """Skip a test of the page where its npm packages are missing, which it is told first."""
+    if not (WEB / "node_modules" / "three").is_dir():
+        pytest.skip(f"the page's npm packages are missing: npm ci --prefix {WEB}")
+
+
 @pytest.mark.parametrize("arguments", MISTAKES, ids=" ".join)
 def test_a_mistake_is_named_with_the_way_out(folder, monkeypatch, capsys, arguments):
+    if arguments[0] == "page":
+        demand_packages()
     monkeypatch.chdir(folder)
     before = sorted(folder.iterdir())
     said = line(capsys, *arguments)
@@ -113,6 +122,7 @@ def test_a_mistake_is_named_with_the_way_out(folder, monkeypatch, capsys, argume
 
 
 def test_a_port_in_use_is_named_with_another_one(tmp_path, capsys):
+    demand_packages()
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         said = line(capsys, "page", "--out", str(tmp_path / "page"), "--open", "--port", port)

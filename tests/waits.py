@@ -3,10 +3,15 @@
 import traceback
 from pathlib import Path
 
+import mjlab
 import torch
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
+import renet
+
+RENET = f"{Path(renet.__file__).parent}/"
+MJLAB = f"{Path(mjlab.__file__).parent}/"
 ALWAYS = ("_local_scalar_dense", "nonzero", "masked_select", "equal", "_linalg_svd")
 """Operations that wait whatever they are given; a decomposition asks whether it succeeded."""
 
@@ -35,9 +40,11 @@ class Waits(TorchDispatchMode):
     def note(self, name: str) -> None:
         """Add an operation that waits, called from where this is called."""
         calls = [frame.filename for frame in traceback.extract_stack()]
-        files = [file for file in calls if "/mjlab/" in file or "/renet/" in file]
+        files = [file for file in calls if file.startswith((RENET, MJLAB))]
         self.waits.append(name)
-        self.files.append(Path(files[-1]).name if files and "/renet/" in files[-1] else "mjlab")
+        self.files.append(
+            Path(files[-1]).name if files and files[-1].startswith(RENET) else "mjlab"
+        )
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         name = func.overloadpacket.__name__
