@@ -12,6 +12,7 @@ import pytest
 
 from renet import terminal
 from renet.terminal import ERASE, Terminal, show
+from tests.clock import Clock
 
 pytestmark = pytest.mark.wall_clock
 
@@ -90,15 +91,6 @@ def test_a_letter_that_a_terminal_lacks_ends_nothing(monkeypatch):
     terminal.say("sees → blind")
     terminal.close()
     assert stream.buffer.getvalue() == b"a motor has more than 65 ?C\nsees ? blind\n"  # type: ignore[attr-defined]
-
-
-class Clock:
-    """Stands in for the module `time`."""
-
-    now = 1000.0
-
-    def monotonic(self) -> float:
-        return self.now
 
 
 @pytest.fixture

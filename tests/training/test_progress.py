@@ -9,21 +9,13 @@ from rich.console import Console
 
 from renet.training import progress
 from renet.training.progress import Report
+from tests.clock import Clock
 
 LEVELS = {
     f"Curriculum/level/{kind}": 10.0
     for kind in ("gap", "platform", "stairs_up", "stairs_down", "obstacles", "rough")
 }
 CURVES = {"Perf/total_fps": 10_110.4, "Train/mean_reward": 12.345}
-
-
-class Clock:
-    """Stands in for the module `time`."""
-
-    now = 1000.0
-
-    def monotonic(self) -> float:
-        return self.now
 
 
 @pytest.fixture

@@ -138,8 +138,14 @@ class Study:
         return [[name] for name in names]
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """Content of the summary beside settings and provenance; `runs` is its list of rows."""
-        raise NotImplementedError
+        """Content of the summary beside settings and provenance; `runs` is its list of rows.
+
+        By default that is all of it, and the rows are those of all parts, in order.
+        """
+        runs = []
+        for part in parts.values():
+            runs += part["runs"]
+        return {"runs": runs}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figures of a summary by their file name, which `run` saves; none by default."""

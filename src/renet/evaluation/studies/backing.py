@@ -19,7 +19,7 @@ from renet.evaluation import metrics
 from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
 from renet.evaluation.studies.memory import DEAD_CAMERA
 from renet.evaluation.studies.one_try import EDGES, START_YAW
-from renet.evaluation.study import Figures, Part, Table, WalkingStudy
+from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, MAX_REVERSE
 from renet.terrain.tiles import tiles
@@ -115,17 +115,6 @@ class BackingStudy(WalkingStudy):
             }
             runs.append(run)
         return {"runs": runs}
-
-    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The rows."""
-        runs = []
-        for part in parts.values():
-            runs += part["runs"]
-        return {"runs": runs, "distance_m": _DISTANCE}
-
-    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """No figures."""
-        return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The rows."""

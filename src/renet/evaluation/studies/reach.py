@@ -153,13 +153,6 @@ class ReachStudy(WalkingStudy):
             "seed": self.seed,
         }
 
-    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The rows."""
-        runs = []
-        for part in parts.values():
-            runs += part["runs"]
-        return {"runs": runs}
-
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure reach.png: shares that cross and fall, against the distance of the death."""
         figure, axes = plt.subplots(2, 1, figsize=(figures.WIDTH, 5.0), sharex=True, sharey=True)

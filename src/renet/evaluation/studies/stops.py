@@ -20,7 +20,7 @@ from renet.errors import RenetError
 from renet.evaluation import metrics
 from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
 from renet.evaluation.studies.one_try import START_YAW
-from renet.evaluation.study import Figures, Part, Table, WalkingStudy
+from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import BARRIERS, barriers
 
@@ -100,17 +100,6 @@ class StopsStudy(WalkingStudy):
             }
             runs.append(run)
         return {"runs": runs}
-
-    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The rows."""
-        runs = []
-        for part in parts.values():
-            runs += part["runs"]
-        return {"runs": runs}
-
-    def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """No figures."""
-        return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The rows."""
