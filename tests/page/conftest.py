@@ -8,11 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
-from renet.bundle import pretrained, read_manifest, write_manifest
+from renet.bundle import pretrained, read_manifest, write_bundle, write_manifest
+from renet.bundle.models import MODELS
 from renet.interface import PROPRIOCEPTION
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
 from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
+from renet.training.export import export_models
 from tests.browser import open_browser
 from tests.page.visit import DESKTOP, PHONE, Visit
 
@@ -57,6 +62,26 @@ def twist_page(node_page: Path, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("twist")
     path = shutil.copytree(pretrained("go1-parkour"), folder / "b")
     write_manifest(path, replace(read_manifest(path), proprioception=PROPRIOCEPTION))
+    return write_page(PageCfg((path,), folder / "page"))
+
+
+@pytest.fixture(scope="session")
+def expecting_page(node_page: Path, tmp_path_factory) -> Path:
+    """The page of the shipped weights with an untrained vision model that expects images.
+
+    It expects that images stay as they are, about.
+    """
+    torch.manual_seed(0)
+    networks = RENet(ModelCfg(detector="variance", expect_image=True), critic_size=10).eval()
+    shipped = pretrained("go1-parkour")
+    models = {name: (shipped / f"{name}.onnx").read_bytes() for name in MODELS}
+    models["vision"] = export_models(networks)["vision"]
+    manifest = read_manifest(shipped)
+    # The untrained detector objects to nothing.
+    thresholds = {"surprise": 0.3, "variance": 99.0, "reconstruction": 0.25}
+    selector = replace(manifest.selector, thresholds=thresholds)
+    folder = tmp_path_factory.mktemp("expecting")
+    path = write_bundle(folder / "b", models, replace(manifest, selector=selector))
     return write_page(PageCfg((path,), folder / "page"))
 
 

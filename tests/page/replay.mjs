@@ -41,6 +41,7 @@ for (const { state, frame: next, teleop, now } of ticks) {
     latent_vp: Array.from(policy.latentVp),
     height_map: Array.from(policy.heightMap ?? []),
     anomaly: policy.anomalyScore,
+    surprise: policy.surprise,
     probability: selector.probability,
     vision: driving !== "blind",
     reason: selector.reason,

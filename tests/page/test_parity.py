@@ -23,7 +23,7 @@ from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
 COMMAND, LATENTS = ("position", "stiffness", "damping"), ("latent_op", "latent_vp", "height_map")
-NUMBERS = ("observation", "action", "anomaly", "probability", *COMMAND, *LATENTS)
+NUMBERS = ("observation", "action", "anomaly", "surprise", "probability", *COMMAND, *LATENTS)
 
 
 def record(
@@ -86,6 +86,7 @@ def decision(controller: Controller) -> dict:
     return {
         **{name: getattr(decision, name) for name in ("vision", "action", "anomaly")},
         **{name: getattr(policy, name)[0] for name in LATENTS},
+        "surprise": float(policy.surprise[0]),
         "probability": decision.probability,
         "phase": str(decision.mode),
         "reason": str(selector.reason[0]),
@@ -141,6 +142,17 @@ def test_so_it_does_where_a_policy_is_told_a_twist(twist_page, tmp_path):
     assert told[:, 1].max() == pytest.approx(0.3)
     corrected = (told[:, 0] == np.float32(0.6)) & (np.abs(told[:, 2]) > 1e-3)
     assert corrected.any(), "a heading is kept"
+
+
+def test_so_it_does_where_a_policy_expects_images(expecting_page, tmp_path):
+    bundle = Bundle.load(expecting_page / "bundles" / "0")
+    given, decided = record(bundle, "stairs_up", "turned:5@4s+1s", "memory", ahead, Bundle.load())
+    surprises = [one["surprise"] for one in decided]
+    assert min(surprises) < 0.3 < max(surprises), "the fault surprises"
+    assert {one["state"] for one in decided} >= {"sees", "remembers"}
+    reasons = {one["reason"] for one in decided}
+    assert "the image contradicts what was seen before" in reasons
+    compare(expecting_page, tmp_path, "memory", given, decided)
 
 
 def ahead(now: float) -> Velocity:

@@ -19,7 +19,8 @@ from tests.page.conftest import run_node
 
 STEPS = 3000
 PICTURES = 6
-SEEN = "fresh age invalid velocityOp velocityVp hasImage anomalyScore varianceScore mapError"
+SEEN = "fresh age invalid velocityOp velocityVp hasImage"
+SEEN += " anomalyScore varianceScore surprise mapError"
 NAMES = {re.sub("([A-Z])", r"_\1", name).lower(): name for name in SEEN.split()}
 """What the page calls fields of `SelectorInput`, by their own names."""
 
@@ -36,7 +37,9 @@ def moods(rng: np.random.Generator, limits: dict[str, float]) -> list[dict[str, 
     steps, now, mood, left, picture = [], 3.0, "well", 80, 0
     for step in range(STEPS):
         if left == 0:
-            mood = str(rng.choice(["well", "well", "late", "frozen", "spoilt", "blank", "apart"]))
+            mood = str(
+                rng.choice(["well", "well", "late", "frozen", "spoilt", "blank", "apart", "lying"])
+            )
             left = int(rng.integers(5, 150))
         left -= 1
         now += float(rng.choice([0.0, 0.02, 0.02, 0.021, 0.05]))
@@ -48,6 +51,7 @@ def moods(rng: np.random.Generator, limits: dict[str, float]) -> list[dict[str, 
         scores = {
             "anomalyScore": bad * limits.get("reconstruction", 0.01),
             "varianceScore": bad * limits.get("variance", 1.0) if rng.random() > 0.01 else None,
+            "surprise": float(rng.uniform(0.0, 3.0)) if mood == "lying" else 0.3,
             "mapError": bad * limits.get("map_error", 1.0),
         }
         seen = {
@@ -56,7 +60,7 @@ def moods(rng: np.random.Generator, limits: dict[str, float]) -> list[dict[str, 
             "invalid": 0.0,
             "velocityOp": [0.5, 0.0, 0.0],
             "velocityVp": [2.5 if mood == "apart" else 0.5, 0.0, 0.0],
-            "hasImage": mood in ("well", "apart"),
+            "hasImage": mood in ("well", "apart", "lying"),
         }
         steps.append({"now": now, "tick": tick, "picture": picture, "scores": scores, **seen})
     return steps
@@ -93,7 +97,8 @@ def decide(kind: str, spec, pictures: np.ndarray, steps: list[dict[str, Any]]) -
 def test_selector_decides_and_says_the_same(node_page, tmp_path: Path, kind, memory, states, seed):
     bundle, rng = Bundle.load(), np.random.default_rng(seed)
     spec = replace(bundle.manifest.selector, longest_memory=memory)
-    spec = replace(spec, thresholds={**spec.thresholds, "reconstruction": 0.02, "map_error": 0.1})
+    changed = {"reconstruction": 0.02, "surprise": 1.5, "map_error": 0.1}
+    spec = replace(spec, thresholds=spec.thresholds | changed)
     bundle = replace(bundle, manifest=replace(bundle.manifest, selector=spec))
     shared, pictures = contract([bundle]), images(rng)
     limits = {"reconstruction": spec.beta} if kind == "switch" else spec.thresholds

@@ -15,10 +15,14 @@ import torch
 from renet.bundle import Bundle, write_bundle
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
+from renet.models.config import ModelCfg
+from renet.models.expectation import Recollection, mean_blocks
 from renet.models.memory import EstimatorMemory
+from renet.models.renet import RENet
 from renet.pilot.policy import BundlePolicy
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.monitors import Gate
+from renet.training.export import export_models
 from tests.selector.inputs import seen
 
 
@@ -208,3 +212,41 @@ def test_a_vp_that_finds_no_numbers_leaves_op_driving_and_begins_anew(policy, na
 def test_an_op_that_finds_no_numbers_is_told(policy, name):
     spoilt(policy, **{name: np.nan})
     assert policy.op_lost.tolist() == [False, True, False]
+
+
+def test_surprise_is_that_of_the_training_side_whatever_is_withheld(manifest, tmp_path):
+    torch.manual_seed(0)
+    networks = RENet(ModelCfg(detector="variance", expect_image=True), critic_size=10).eval()
+    path = write_bundle(tmp_path / "expecting", export_models(networks), manifest)
+    policy = BundlePolicy(Bundle.load(path), num_robots=3)
+    memory = EstimatorMemory(networks.cfg, 3, "cpu")
+    random = np.random.default_rng(0)
+    nobody = np.zeros(3, bool)
+    ages = set()
+    for step in range(300):
+        observation = random.normal(size=(3, 45)).astype(np.float32)
+        image = random.random((3, 48, 64)).astype(np.float16)
+        memory.push(torch.tensor(observation))
+        if step % 5 == 0:
+            fresh = memory.fresh.clone()
+            has_image = torch.tensor(random.random(3) < 0.5) | fresh
+            known = Recollection(
+                memory.latent_vp,
+                memory.history,
+                mean_blocks(memory.frames[:, 0].float()),
+                memory.image_age,
+            )
+            with torch.no_grad():
+                blocks = mean_blocks(torch.tensor(image).float())
+                expected = networks.expectation.surprise(known, blocks) * ~fresh
+            ages |= set(memory.image_age.tolist())
+            memory.see(torch.tensor(image), has_image)
+            memory.tick(networks.advance)
+            gate = Gate(has_image.numpy(), {})
+        policy.step(observation, image.astype(np.float32), nobody, gate)
+        if step % 5 == 0:
+            np.testing.assert_allclose(policy.surprise, expected, atol=1e-4)
+        done = random.random(3) < 0.01
+        policy.reset(done)
+        memory.reset(torch.tensor(done))
+    assert max(ages) > 0.25, "images were withheld for some ticks"

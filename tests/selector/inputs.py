@@ -16,6 +16,7 @@ def seen(robots: int = 2, **changes) -> SelectorInput:
         age=np.zeros(robots),
         invalid=np.zeros(robots),
         variance_score=np.ones(robots),
+        surprise=np.full(robots, 0.3),
         velocity_op=np.zeros((robots, 3)),
         velocity_vp=np.zeros((robots, 3)),
     )

@@ -36,6 +36,12 @@ def test_the_level_of_a_pareto_tail_far_beyond_all_scores_is_its_quantile(shape:
     assert return_level([run], 1e-6) - 5.0 == pytest.approx(excess(np.array(1e-9)), rel=0.06)
 
 
+def test_a_monitor_that_needs_two_in_a_row_is_calibrated_by_the_lower_of_two() -> None:
+    """Two of these scores in a row exceed x with probability exp(-2 x)."""
+    thresholds, _ = calibrate_monitors({"surprise": hours(20)}, 1.0)
+    assert thresholds["surprise"] == pytest.approx(0.5 * math.log(36000), rel=0.1)
+
+
 def test_bursts_that_all_peak_alike_have_a_level_and_a_bounded_tail_stays_near_its_bound() -> None:
     equal = np.ones(2000)
     equal[::50] = 2.0

@@ -12,7 +12,9 @@ from renet.selector import MONITORS, SelectorSpec, make_selector
 from renet.selector.selector import BLIND, DWELL, REMEMBERS, SEES, STEADY, check_selector
 
 SPEC = SelectorSpec(
-    beta=0.2, thresholds={"variance": 3.0, "disagreement": 1.0, "map_error": 0.3}, longest_memory=2
+    beta=0.2,
+    thresholds={"variance": 3.0, "surprise": 1.5, "disagreement": 1.0, "map_error": 0.3},
+    longest_memory=2,
 )
 TICK = 0.1
 HEALTHY = seen(robots=1)
@@ -27,7 +29,9 @@ class Walk:
         self.random, self.image = np.random.default_rng(0), np.ones((1, 48, 64))
         self.run(healthy)
 
-    def tick(self, variance=1.0, fresh=True, age=0.0, map_error=0.1, apart=0.0, image=None):
+    def tick(
+        self, variance=1.0, fresh=True, age=0.0, map_error=0.1, apart=0.0, image=None, surprise=0.3
+    ):
         """One tick and its twenty updates; returns the state after it."""
         if fresh:
             self.image = self.random.random((1, 48, 64)) if image is None else image.copy()
@@ -38,12 +42,13 @@ class Walk:
             age=np.array([age]),
             velocity_vp=np.array([[apart, 0.0, 0.0]]),
             variance_score=np.array([variance]),
+            surprise=np.array([surprise]),
             map_error=np.array([map_error]),
         )
-        not_yet = {name: np.full(1, np.inf) for name in ("variance_score", "map_error")}
+        not_yet = {name: np.full(1, np.inf) for name in ("variance_score", "surprise", "map_error")}
         gate = self.selector.look(replace(given, **not_yet))  # The models have not run.
         assert gate is not None
-        has_image = gate.judge({"variance_score": given.variance_score})
+        has_image = gate.judge({name: getattr(given, name) for name in gate.limits})
         now = TICK * next(self.ticks)
         for update in range(20):
             new = replace(given, fresh=given.fresh & (update == 0), has_image=has_image)
@@ -59,6 +64,7 @@ class Walk:
     [
         ({"variance": 5.0}, "images unlike those of training", 1),
         ({"image": np.zeros((1, 48, 64))}, "the image is blank", 1),
+        ({"surprise": 2.0}, "the image contradicts what was seen before", STEADY),
         ({"age": 0.5, "fresh": False}, "no new image", STEADY),
     ],
 )
@@ -72,6 +78,26 @@ def test_a_spoilt_image_is_withheld_at_once_and_a_good_one_used_again(spoilt, re
     assert walk.run(again) == [REMEMBERS] * (again - 1) + [SEES]
     assert walk.selector.reason[0] == ""
     assert walk.selector.without_image[0] == 0
+
+
+def test_a_lie_that_surprises_now_and_then_is_never_believed():
+    walk = Walk()
+    lies = [walk.tick(surprise=2.0 if tick % 6 < 2 else 1.0) for tick in range(18)]
+    assert lies == [REMEMBERS] * 18
+    assert walk.run(STEADY)[-2:] == [SEES, SEES]
+
+
+def test_one_surprising_image_is_withheld_alone():
+    walk = Walk()
+    assert walk.run(1, surprise=2.0) == [REMEMBERS]
+    assert walk.run(2) == [SEES] * 2
+    assert walk.run(1, surprise=2.0) == [REMEMBERS]
+
+
+def test_an_old_image_is_no_lie_although_it_contradicts_what_was_expected():
+    walk = Walk()
+    assert walk.run(3, fresh=False, age=0.1, surprise=2.0) == [REMEMBERS] * 3
+    assert walk.run(3) == [SEES] * 3
 
 
 def test_late_images_that_come_now_and_then_are_not_used():

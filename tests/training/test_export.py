@@ -9,6 +9,7 @@ from renet.bundle.graph import check_graph
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
+from renet.models.expectation import Recollection, mean_blocks
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.training.export import export_models
@@ -20,6 +21,7 @@ MODELS = {
     "no heads": ROWS["w/o VEL"].fields | ROWS["w/o FH"].fields | ROWS["w/o HF"].fields,
     "variance detector": {"detector": "variance"},
     "map's error": {"predict_map_error": True},
+    "expected images": {"detector": "variance", "expect_image": True},
 }
 """Every row whose exported networks differ."""
 
@@ -41,6 +43,10 @@ def test_sequence_matches_pytorch(fields):
         observation, image = torch.randn(3, 45), torch.rand(3, 48, 64)
         mask = torch.tensor([1.0, 0.0, float(tick % 2)])
         memory.push(observation)
+        last_image = memory.frames[:, 0].float()
+        known = Recollection(
+            memory.latent_vp, memory.history, mean_blocks(last_image), memory.image_age
+        )
         memory.see(image, has_image)
         memory.tick(model.advance)
         inputs = {
@@ -72,7 +78,21 @@ def test_sequence_matches_pytorch(fields):
         (got,) = onnx["actor"].run(None, inputs | latents)
         np.testing.assert_allclose(got, action.numpy(), atol=1e-4)
         depth = memory.frames.float().numpy()
-        got, score = onnx["vision"].run(("reconstruction", "anomaly_score"), {"depth": depth})
+        feed = {"depth": depth}
+        if model.expectation is not None:
+            feed |= {
+                "proprioception_history": known.history.numpy(),
+                "latent_vp": known.latent.numpy(),
+                "last_image": last_image.numpy(),
+                "image_age": known.age[:, None].numpy(),
+            }
+            (got,) = onnx["vision"].run(["surprise"], feed)
+            with torch.no_grad():
+                surprise = model.expectation.surprise(
+                    known, mean_blocks(memory.frames[:, 0].float())
+                )
+            np.testing.assert_allclose(got, surprise.numpy(), atol=1e-4)
+        got, score = onnx["vision"].run(("reconstruction", "anomaly_score"), feed)
         np.testing.assert_allclose(got, reconstruction.numpy(), atol=1e-4)
         expected = np.mean((depth - got) ** 2, axis=(1, 2, 3))
         np.testing.assert_allclose(score, expected, rtol=1e-4)

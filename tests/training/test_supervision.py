@@ -2,11 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 import renet.training.supervision as supervision_module
 from renet.models.config import ModelCfg
+from renet.models.expectation import BLOCKS, Recollection
 from renet.models.him import target_view
 from renet.models.renet import RENet
 from renet.training.config import SupervisionCfg
@@ -27,6 +29,7 @@ def random_rollout(ticks: int = TICKS) -> TickRollout:
     no = torch.zeros(ticks, ROBOTS, dtype=torch.bool)
     sizes = {"velocity": 3, "height_map": 132, "next_proprioception": 45, "next_velocity": 3}
     sizes |= {"far_map": 30, "latent_op": 64, "latent_vp": 64}
+    sizes |= {"blocks": BLOCKS, "last_blocks": BLOCKS}
     return TickRollout(
         history=torch.randn(ticks, ROBOTS, 10, 45),
         frames=torch.rand(ticks, ROBOTS, 2, 48, 64).half(),
@@ -34,6 +37,7 @@ def random_rollout(ticks: int = TICKS) -> TickRollout:
         fresh=no,
         op_mask=(torch.arange(ROBOTS) < 2).expand_as(no).clone(),
         feet_height=torch.rand(ticks, ROBOTS, 4),
+        image_age=torch.rand(ticks, ROBOTS),
         next_valid=~no,
         **{name: torch.randn(ticks, ROBOTS, size) for name, size in sizes.items()},
     )
@@ -192,6 +196,26 @@ def test_map_error_is_gaussian_likelihood(rollout):
     losses["vp_map_nll"].backward()
     moved = {n for n, p in model.named_parameters() if p.grad is not None and p.grad.any()}
     assert {name.rpartition(".")[0].rpartition(".")[0] for name in moved} == {"vp.map_error_head"}
+
+
+def test_images_are_expected_from_each_tick_but_the_first_without_a_gradient_to_vp(rollout):
+    model = RENet(ModelCfg(expect_image=True), critic_size=5)
+    rollout.fresh[1, 2] = True
+    supervision = Supervision(model, SupervisionCfg(num_mini_batches=1))
+    (batch,) = supervision.draw_mini_batches(rollout)
+    (loss,) = supervision._expectation_losses(rollout, batch).values()
+
+    expected = []
+    for tick in range(TICKS):
+        parts = (rollout.latent_vp, rollout.history, rollout.last_blocks, rollout.image_age)
+        known = Recollection(*(part[tick] for part in parts))
+        losses = model.expectation.loss(known, rollout.blocks[tick])
+        expected += losses[~rollout.fresh[tick]].tolist()
+    assert len(expected) == TICKS * ROBOTS - 1
+    assert loss.item() == pytest.approx(np.mean(expected), rel=1e-5)
+    loss.backward()
+    moved = {n.partition(".")[0] for n, p in model.named_parameters() if p.grad is not None}
+    assert moved == {"expectation"}
 
 
 def test_detector_ignores_withheld_images(model, rollout, monkeypatch):

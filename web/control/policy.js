@@ -30,6 +30,7 @@ export class Policy {
     this.manifest = manifest;
     this.sessions = sessions;
     this.stepsPerTick = contract.stepsPerTick;
+    this.tickDt = contract.camera.tickDt;
     this.size = contract.proprioception.reduce((sum, term) => sum + term.size, 0);
     this.history = new Float32Array(manifest.history * this.size);
     this.pixels = rows * columns;
@@ -46,7 +47,9 @@ export class Policy {
   reset() {
     this.latentOp = new Float32Array(this.latent);
     this.latentVp = new Float32Array(this.latent);
-    this.anomalyScore = this.varianceScore = this.mapError = 0;
+    this.anomalyScore = this.varianceScore = this.surprise = this.mapError = 0;
+    /** For how long images have been withheld, s; NaN before the first that VP was given. */
+    this.imageAge = NaN;
     this.hasImage = true;
     this.blank = this.fresh = true;
     this.steps = 0;
@@ -84,11 +87,12 @@ export class Policy {
       this.fresh = false;
     }
     const depth = tensor(this.frames, ...this.framesShape);
-    this.anomalyScore = this.varianceScore = Infinity;
+    this.anomalyScore = this.varianceScore = this.surprise = Infinity;
     if (image) {
-      const seen = await this.sessions.vision.run({ depth });
+      const seen = await this.sessions.vision.run({ depth, ...this.recollection });
       this.anomalyScore = seen.anomaly_score.data[0];
       this.varianceScore = seen.variance_score?.data[0] ?? 0;
+      this.surprise = Number.isNaN(this.imageAge) ? 0 : (seen.surprise?.data[0] ?? 0);
       this.reconstruction = seen.reconstruction.data;
     }
     const estimates = await this.sessions.estimator.run({
@@ -100,6 +104,18 @@ export class Policy {
     this.mapError = estimates.map_error?.data[0] ?? 0;
   }
 
+  /** What the robot knows before an image arrives, if the vision model asks for it. */
+  get recollection() {
+    if (!this.sessions.vision.inputNames.includes("image_age")) return {};
+    const [, rows, columns] = this.framesShape;
+    return {
+      proprioception_history: tensor(this.history, this.manifest.history, this.size),
+      latent_vp: this.latents.latent_vp,
+      last_image: tensor(this.accepted.slice(0, this.pixels), rows, columns),
+      image_age: tensor([this.imageAge || 0], 1),
+    };
+  }
+
   /** The estimator's inputs for an image that VP may use or not. */
   withheld(hasImage, unpaired) {
     if (hasImage) {
@@ -109,6 +125,7 @@ export class Policy {
       this.accepted.set(newest, 0);
     }
     this.hasImage = hasImage;
+    this.imageAge = hasImage ? 0 : this.imageAge + this.tickDt;
     return { depth: tensor(this.accepted, ...this.framesShape), has_image: tensor([Number(hasImage)], 1) };
   }
 

@@ -6,6 +6,7 @@
 const SCORES = {
   reconstruction: () => (seen) => seen.anomalyScore,
   variance: () => (seen) => seen.varianceScore,
+  surprise: () => (seen) => seen.surprise,
   frame_age: () => (seen) => seen.age,
   invalid_fraction: () => (seen) => seen.invalid,
   disagreement: () => (seen) => Math.hypot(...seen.velocityOp.map((v, i) => v - seen.velocityVp[i])),
@@ -70,7 +71,9 @@ export class Selector {
     this.withoutImage = 0;
     this.reason = "";
     this.looked = false;
-    this.sinceLate = this.contract.steady;
+    this.steady = this.contract.steady;
+    this.isNew = false;
+    this.surprised = false;
     this.periods = null;
     this.goodSince = 0;
     this.lastGood = this.returned = -Infinity;
@@ -90,8 +93,9 @@ export class Selector {
   look(seen) {
     const before = this.monitors.map(({ ofImage, output }) => ofImage && !output);
     const late = this.monitors.some(({ name, threshold }) => name === "frame_age" && seen.age >= threshold);
-    this.sinceLate = late ? 0 : this.sinceLate + Number(seen.fresh);
-    const fine = this.judge(seen, before).every(Boolean) && this.sinceLate >= this.contract.steady;
+    this.steady = late ? 0 : this.steady + Number(seen.fresh);
+    this.isNew = seen.fresh;
+    const fine = this.judge(seen, before).every(Boolean) && this.steady >= this.contract.steady;
     this.looked = true;
     if (!this.longestMemory) return () => true;
     const judged = this.monitors.filter(({ output }) => output);
@@ -105,13 +109,14 @@ export class Selector {
 
   /**
    * Take what is known of vision at one moment.
-   * @param {object} seen anomalyScore, varianceScore, image (a new array whenever one arrives), fresh,
+   * @param {object} seen anomalyScore, varianceScore, surprise, image (a new array whenever one arrives), fresh,
    *   age, invalid, velocityOp, velocityVp, hasImage, mapError.
    * @param {number} now seconds.
    * @returns {boolean} whether to use vision.
    */
   update(seen, now) {
     const verdicts = this.judge({ ...seen, fresh: seen.fresh && !this.looked });
+    if (this.looked) this.heedSurprise(verdicts);
     this.looked = false;
     const due = this.due(now);
     if (due === 0) return this.vision;
@@ -139,6 +144,14 @@ export class Selector {
       this.reason += ` for ${this.longestMemory} s, as long as it remembers`;
     }
     return this.vision;
+  }
+
+  /** After two surprising images in a row, wait for good ones; an old image surprises anyway. */
+  heedSurprise(verdicts) {
+    if (!this.isNew) return;
+    const surprising = verdicts.some((fine, i) => !fine && this.monitors[i].name === "surprise");
+    if (surprising && this.surprised) this.steady = 0;
+    this.surprised = surprising;
   }
 
   /** Whether VP has a good image, and whether it may drive. */

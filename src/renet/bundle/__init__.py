@@ -21,6 +21,7 @@ from renet.bundle.models import (
     HAS_IMAGE,
     MAP_ERROR,
     MODELS,
+    SURPRISE,
     VARIANCE,
     read_model,
     remembers,
@@ -78,7 +79,11 @@ class Bundle:
     def _check_selector(self) -> None:
         """Raise RenetError if the selector needs an input or output that the models lack."""
         selector = self.manifest.selector
-        needed = {"variance": ("vision", VARIANCE), "map_error": ("estimator", MAP_ERROR)}
+        needed = {
+            "variance": ("vision", VARIANCE),
+            "surprise": ("vision", SURPRISE),
+            "map_error": ("estimator", MAP_ERROR),
+        }
         for name, (model, output) in needed.items():
             if name in selector.thresholds and output not in self.outputs(model):
                 raise RenetError(

@@ -33,11 +33,13 @@ from renet.trial import judge, run_trial
 MODELS = ("actor", "estimator", "vision")
 """Names of a bundle's models."""
 MAX_MODEL_BYTES = 32 * MEGABYTE
-"""Largest size of one model, bytes; the shipped three have 2 MB together."""
+"""Largest size of one model, bytes; a shipped bundle's three have less than 3 MB together."""
 MAX_RUN = 0.2
 """Most processor time of one run for one robot, s; the shipped models need a few milliseconds."""
 VARIANCE = "variance_score"
 """Output [N] of vision models that predict the variance of their own error."""
+SURPRISE = "surprise"
+"""Output [N] of vision models that expect the next image: how much it contradicts that."""
 MAP_ERROR = "map_error"
 """Output [N] of estimators that predict the error of their height map ahead, m."""
 HAS_IMAGE = "has_image"
@@ -70,6 +72,20 @@ def model_shapes(history: int) -> dict[str, tuple[dict, dict]]:
         ),
         "estimator": (history_and_depth | latents, estimates),
         "vision": ({"depth": depth}, {"reconstruction": depth, "anomaly_score": ()}),
+    }
+
+
+def recollection_shapes(history: int) -> dict[str, tuple[int, ...]]:
+    """Return the inputs of vision models with an output `SURPRISE`, beside the images.
+
+    They are what the robot knows before the image arrives: its proprioceptions, VP's latent, the
+    last image that VP was given, and the time in s for which images have been withheld since.
+    """
+    return {
+        "proprioception_history": (history, PROPRIOCEPTION_SIZE),
+        "latent_vp": (LATENT,),
+        "last_image": DEPTH_SHAPE,
+        "image_age": (1,),
     }
 
 
@@ -135,7 +151,9 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     if name == "estimator" and remembers(model):
         inputs = inputs | {HAS_IMAGE: (1,)}
     names = [node.name for node in model.get_outputs()]
-    for optional in (VARIANCE, MAP_ERROR):
+    if name == "vision" and SURPRISE in names:
+        inputs = inputs | recollection_shapes(history)
+    for optional in (VARIANCE, SURPRISE, MAP_ERROR):
         if optional in names:
             outputs = outputs | {optional: ()}
     return _input_problem(model, name, inputs) or _run_problem(model, name, inputs, outputs)

@@ -75,6 +75,8 @@ class Decision:
     """Reconstruction loss of the newest images, the paper's Loss_ad."""
     variance: float
     """Error of the newest images over its predicted variance; zero where none is predicted."""
+    surprise: float
+    """Contradiction between the newest images and what was expected; zero where none is."""
     frame_age: float
     """Seconds since the newest good frame was taken."""
     action: np.ndarray
@@ -317,6 +319,7 @@ class Controller:
             probability=float(self.pilot.probability[0]),
             anomaly=float(policy.anomaly_score[0]),
             variance=float(policy.variance_score[0]),
+            surprise=float(policy.surprise[0]),
             frame_age=self._buffer.age(now),
             action=self._action if walking else np.zeros(ACTION_SIZE),
             latent=latent if walking else np.zeros(LATENT),

@@ -20,7 +20,14 @@ from renet.deploy.recording.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
-from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, Trial, check_finite, check_speed
+from renet.evaluation.rollout import (
+    FLAT_GROUND,
+    PARKOUR,
+    Conditions,
+    Trial,
+    check_finite,
+    check_speed,
+)
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, TICK_DT, Engine
 from renet.selector.calibration import calibrate, calibrate_monitors
@@ -78,6 +85,9 @@ class CalibrateCfg:
     sparse_grass: bool = True
     """Judge images by the model's predicted variance, if it has one, not by the reconstruction, and
     raise thresholds, at most twofold, until each monitor accepts 49 of 50 walks through grass."""
+    conditions: Conditions = "nominal"
+    """Conditions of simulated runs (docs/measure.md): with `training` bodies, sensors, delays and
+    pushes differ as in training."""
     seed: int = 7
     """Seed of the robots' starts."""
     engine: Engine = "auto"
@@ -199,7 +209,7 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT_GROUND}, {PARKOUR}")
     check_speed(cfg.speed)
     # An absolute path is never the name of a bundle that comes with renet, which is read-only.
-    evaluator = Evaluator(cfg.bundle.absolute(), cfg.engine)
+    evaluator = Evaluator(cfg.bundle.absolute(), cfg.engine, cfg.conditions)
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
@@ -216,6 +226,7 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
 
     Robots walk in mode camera; with `grass`, all of them through sparse grass.
     """
+    from renet.evaluation.evaluator import Task
     from renet.tasks.parkour_env_cfg import parkour_env_cfg
     from renet.terrain.tiles import tiles
 
@@ -227,7 +238,10 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     for terrain in cfg.terrains:
         on_tiles = terrain == PARKOUR
         # Tiles of the paper's preset, so that studies, which have others, judge on unseen ones.
-        task = parkour_env_cfg(play=True, robot=evaluator.robot) if on_tiles else terrain
+        task: Task = terrain
+        if on_tiles:
+            task = parkour_env_cfg(play=True, robot=evaluator.robot)
+            evaluator.set_conditions(task)
         env = evaluator.make_env(task, range(cfg.robots), cfg.speed, cfg.seed)
         if on_tiles:
             env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))

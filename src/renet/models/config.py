@@ -36,6 +36,9 @@ class ModelCfg:
     predict_far_map: bool = False
     """Head of VP for the ground beyond the height map, as far as images reach (not the paper's).
     Only its loss is used: VP remembers what it learns to predict."""
+    expect_image: bool = False
+    """Expectation of the next image from VP's memory, which notices images that lie plausibly (not
+    the paper's)."""
     him: bool = True
     """Hybrid internal model loss on both estimators; False is the row "w/o HIM"."""
     detector: Detector = "reconstruction"

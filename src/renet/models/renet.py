@@ -8,6 +8,7 @@ from renet.models.actor_critic import Actor, Critics
 from renet.models.autoencoder import DepthAutoencoder
 from renet.models.config import ModelCfg
 from renet.models.estimators import OPEstimator, VPEstimator
+from renet.models.expectation import ImageExpectation
 from renet.models.him import HybridInternalModel
 
 
@@ -22,6 +23,7 @@ class RENet(nn.Module):
         self.op_him = HybridInternalModel() if cfg.him else None
         self.vp_him = HybridInternalModel() if cfg.him else None
         self.autoencoder = DepthAutoencoder(cfg.detector)
+        self.expectation = ImageExpectation() if cfg.expect_image else None
         self.actor = Actor(cfg)
         self.critics = Critics(cfg, critic_size)
         self.critic_normalizer = EmpiricalNormalization(critic_size)
@@ -44,6 +46,8 @@ class RENet(nn.Module):
         return torch.cat((next_op, next_vp), dim=-1)
 
     def supervised_parameters(self) -> list[nn.Parameter]:
-        """List the parameters trained by supervision: those of estimators, HIM and autoencoder."""
-        modules = (self.op, self.vp, self.op_him, self.vp_him, self.autoencoder)
+        """List the parameters trained by supervision: those of estimators, HIM,
+        autoencoder and expectation."""
+        estimators = (self.op, self.vp, self.op_him, self.vp_him)
+        modules = (*estimators, self.autoencoder, self.expectation)
         return [p for module in modules if module is not None for p in module.parameters()]

@@ -64,7 +64,11 @@ OFFERED = {
     "floor_reflection": "Wet floor",
 }
 """Faults of the catalogue that the page offers, and what it calls them; nine have keys."""
-OUTPUTS = {"anomaly_score": "anomalyScore", "variance_score": "varianceScore"}
+OUTPUTS = {
+    "anomaly_score": "anomalyScore",
+    "variance_score": "varianceScore",
+    "surprise": "surprise",
+}
 """Outputs of the vision model that monitors judge, and what the page's policy calls them."""
 PROFILE = 0.01
 """Distance of the points at which the ground ahead is measured, m."""

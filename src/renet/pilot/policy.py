@@ -8,7 +8,13 @@ import numpy as np
 from renet.bundle import Bundle
 from renet.bundle.models import MAP_ERROR, model_shapes
 from renet.errors import RenetError
-from renet.interface import ACTION_SIZE, DEPTH_SHAPE, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
+from renet.interface import (
+    ACTION_SIZE,
+    DEPTH_SHAPE,
+    PROPRIOCEPTION_SIZE,
+    STEPS_PER_TICK,
+    TICK_DT,
+)
 from renet.pilot.inference import InlineInference
 from renet.pilot.tick import (
     OF_OP,
@@ -29,9 +35,9 @@ class Policy(Protocol):
     """Interface of policies that a pilot can drive robots with, such as `BundlePolicy`.
 
     Other attributes are optional. Monitors compare `velocity_op` and `velocity_vp` ([N, 3] m/s),
-    and judge `variance_score` ([N]) and `map_error` ([N] m). A policy with `has_image` ([N] bool)
-    can walk without an image, and its `step` also takes a `gate`. A policy with `retire(mask)` need
-    not act for robots whose trial is over, until all are reset.
+    and judge `variance_score` and `surprise` ([N] each) and `map_error` ([N] m). A policy with
+    `has_image` ([N] bool) can walk without an image, and its `step` also takes a `gate`. A policy
+    with `retire(mask)` need not act for robots whose trial is over, until all are reset.
     """
 
     anomaly_score: np.ndarray
@@ -102,6 +108,11 @@ class BundlePolicy:
         self.variance_score = np.zeros(n, np.float32)
         """Squared error over predicted variance, [N]; infinite without a camera, and otherwise zero
         if the model predicts none."""
+        self.surprise = np.zeros(n, np.float32)
+        """Contradiction between the newest images and what was expected, [N]; infinite without a
+        camera, and otherwise zero if the model expects no images."""
+        self.image_age = np.full(n, np.nan)
+        """Time for which images have been withheld, [N] s; NaN where VP was never given one."""
         self.vp_lost = np.zeros(n, bool)
         """True where VP's newest results are not finite, [N] bool: OP must drive, and VP begins
         with an empty memory."""
@@ -136,6 +147,8 @@ class BundlePolicy:
             setattr(self, name, value)
         self.has_image = self.has_image.copy()
         self.has_image[rows] = True
+        self.image_age = self.image_age.copy()
+        self.image_age[rows] = np.nan
         self.vp_lost[rows] = False
         self.op_lost[rows] = False
         self._blank[rows] = True
@@ -233,7 +246,15 @@ class BundlePolicy:
             "latent_vp": self.latent_vp,
         }
         frames = self._frames.copy()
-        return EstimatorInput(feed, frames, self.accepted, unpaired, gate, blind=depth is None)
+        return EstimatorInput(
+            feed=feed,
+            depth=frames,
+            accepted=self.accepted,
+            unpaired=unpaired,
+            image_age=self.image_age,
+            gate=gate,
+            blind=depth is None,
+        )
 
     def _accept(self, result: EstimatorOutput) -> None:
         """Store the results of a tick, of the robots that have not retired."""
@@ -244,6 +265,8 @@ class BundlePolicy:
                 whole[self._driven] = value
                 value = whole
             setattr(self, name, value)
+        if "has_image" in result:
+            self.image_age = np.where(self.has_image, 0.0, self.image_age + TICK_DT)
         self.inferred = True
         self._find_lost(result)
 

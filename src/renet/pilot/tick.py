@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from renet.bundle.blocks import Session
-from renet.bundle.models import HAS_IMAGE, MAP_ERROR, remembers
+from renet.bundle.models import HAS_IMAGE, MAP_ERROR, SURPRISE, recollection_shapes, remembers
 from renet.selector.monitors import Gate
 
 Sessions = Mapping[str, Session]
@@ -15,7 +15,7 @@ EstimatorOutput = dict[str, np.ndarray]
 """Results of a tick, by the names of `BundlePolicy`'s attributes that they replace."""
 
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
-SCORES = ("anomaly_score", "variance_score")
+SCORES = ("anomaly_score", "variance_score", SURPRISE)
 OF_VP = ("latent_vp", "velocity_vp", "height_map", MAP_ERROR)
 """Results of VP that must be finite for VP to drive."""
 OF_OP = ("latent_op", "velocity_op")
@@ -36,6 +36,8 @@ class EstimatorInput(NamedTuple):
     """Two newest images that VP was given before, newest first, [N, 2, 48, 64]."""
     unpaired: np.ndarray
     """True where VP had no image a tick ago, so that the next image takes both places, [N] bool."""
+    image_age: np.ndarray
+    """Time for which images have been withheld, [N] s; NaN where VP was never given one."""
     gate: Gate | None
     """Gate that withholds images from VP; None withholds none."""
     blind: bool
@@ -48,6 +50,7 @@ class EstimatorInput(NamedTuple):
             self.depth[rows],
             self.accepted[rows],
             self.unpaired[rows],
+            self.image_age[rows],
             None if self.gate is None else self.gate.of(rows),
             self.blind,
         )
@@ -79,11 +82,25 @@ def _see(vision: Session, inputs: EstimatorInput) -> EstimatorOutput:
     # A model without a score leaves it at zero.
     result = {name: np.zeros(robots, np.float32) for name in SCORES}
     names = [output.name for output in vision.get_outputs() if output.name in SEEN]
-    found: Any = vision.run(names, {"depth": inputs.depth})
+    feed = {"depth": inputs.depth}
+    if SURPRISE in names:
+        feed |= _recollection(inputs)
+    found: Any = vision.run(names, feed)
     result |= dict(zip(names, found, strict=True))
+    # Who was never given an image expects none.
+    result[SURPRISE] = np.where(np.isnan(inputs.image_age), 0.0, result[SURPRISE].reshape(-1))
     for name in SCORES:
         result[name] = result[name].reshape(-1)
     return result
+
+
+def _recollection(inputs: EstimatorInput) -> dict[str, np.ndarray]:
+    """Return what the robots know before the image, by the vision model's names of inputs."""
+    history = inputs.feed["proprioception_history"]
+    age = np.nan_to_num(inputs.image_age)
+    image_age = age[:, None].astype(np.float32)
+    values = (history, inputs.feed["latent_vp"], inputs.accepted[:, 0], image_age)
+    return dict(zip(recollection_shapes(history.shape[1]), values, strict=True))
 
 
 def _withhold(inputs: EstimatorInput, scores: EstimatorOutput) -> EstimatorOutput:

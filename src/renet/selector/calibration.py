@@ -70,12 +70,20 @@ def calibrate_monitors(
     thresholds = {}
     for name, runs in scores.items():
         monitor = MONITORS[name]
+        runs = [lowest_in_a_row(run, monitor.in_a_row) for run in runs]
         # Scores that never vary, such as a simulated camera's holes, have no tail. Their threshold
         # is the monitor's floor, if it has one.
         if name in varied or monitor.floor > -math.inf:
             level = max(return_level(runs, share * hours), monitor.floor)
             thresholds[name] = min(level, monitor.ceiling)
     return thresholds, hours
+
+
+def lowest_in_a_row(run: np.ndarray, count: int) -> np.ndarray:
+    """Return the lowest of each `count` scores in a row, [T - count + 1] of a run of T scores."""
+    if len(run) < count:
+        return run[:0]
+    return np.lib.stride_tricks.sliding_window_view(run, count).min(axis=-1)
 
 
 def return_level(runs: Sequence[np.ndarray], expected: float) -> float:

@@ -48,6 +48,9 @@ class SelectorInput:
     variance_score: np.ndarray = field(default_factory=_absent)
     """Mean squared error of the newest images over its predicted variance, [N]; zero if the model
     predicts none."""
+    surprise: np.ndarray = field(default_factory=_absent)
+    """Contradiction between the newest images and what was expected, [N]; zero if the model expects
+    no images."""
     has_image: np.ndarray = field(default_factory=_absent)
     """True where VP's newest tick had an image, [N] bool."""
     map_error: np.ndarray = field(default_factory=_absent)
@@ -95,6 +98,9 @@ class Monitor:
     healthy runs do not show the threshold that a real one needs."""
     ceiling: float = math.inf
     """Largest calibrated threshold, at which a blank image or a covered lens is still noticed."""
+    in_a_row: int = 1
+    """Number of scores in a row that must exceed the threshold for an alarm. Fewer withhold their
+    own images alone."""
     output: str = ""
     """Output of the vision model that the monitor judges; empty if it needs none."""
     of_image: bool = True
@@ -214,6 +220,15 @@ MONITORS = {
         lambda seen, images: seen.anomaly_score,
         limit=0.25,
         output="anomaly_score",
+    ),
+    # Images that lie plausibly. A healthy one surprises where an edge comes into view, the next one
+    # hardly ever. The limit is beyond the score of an error of the whole range.
+    "surprise": Monitor(
+        "the image contradicts what was seen before",
+        lambda seen, images: seen.surprise,
+        limit=8.0,
+        in_a_row=2,
+        output="surprise",
     ),
     "disagreement": Monitor(
         "the estimators disagree on velocity", _disagreement, limit=3.0, of_image=False

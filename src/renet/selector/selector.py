@@ -23,8 +23,8 @@ DWELL = 1.0
 BETWEEN_RETURNS = 5.0
 """Shortest time between two returns to vision, s."""
 STEADY = 5
-"""Number of new images after a late one, from which on VP uses images again. Images of a camera
-that often delivers late look healthy."""
+"""Number of new images after a late one, or after two surprising ones, from which on VP uses images
+again. Images of a camera that often delivers late look healthy, and so do many of one that lies."""
 SLOWEST = 1.0
 """Longest delay of the filter, s."""
 SELECTORS = ("memory", "switch")
@@ -168,7 +168,9 @@ class MonitorSelector:
         # State of the monitors and of the filter.
         self._scorer = Scorer(num_robots)
         self._looked = False
-        self._since_late = np.full(num_robots, STEADY)
+        self._steady = np.full(num_robots, STEADY)
+        self._is_new = np.zeros(num_robots, bool)
+        self._surprised = np.zeros(num_robots, bool)
         self._periods: int | None = None
         self._good_since = np.zeros(num_robots)
         self._last_good = np.full(num_robots, -np.inf)
@@ -193,9 +195,10 @@ class MonitorSelector:
         if not self.longest_memory:
             return None
         late = seen.age >= self.thresholds.get("frame_age", math.inf)
-        self._since_late = np.where(late, 0, self._since_late + seen.fresh)
+        self._steady = np.where(late, 0, self._steady + seen.fresh)
+        self._is_new = seen.fresh
         # VP must not use an image twice.
-        acceptable = seen.fresh & (self._since_late >= STEADY)
+        acceptable = seen.fresh & (self._steady >= STEADY)
         return Gate(acceptable & np.logical_and.reduce(verdicts), self._limits)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
@@ -208,6 +211,8 @@ class MonitorSelector:
         Returns:
             True where VP drives, [N] bool.
         """
+        if self._looked:
+            self._heed_surprise(seen)
         # `look` has counted these images.
         if self._looked and seen.fresh.any():
             seen = replace(seen, fresh=np.zeros_like(seen.fresh))
@@ -245,6 +250,16 @@ class MonitorSelector:
         self.vision = (self.vision & likely) | returning
         self._update_reasons(seen, good, healthy, leaving)
         return self.vision
+
+    def _heed_surprise(self, seen: SelectorInput) -> None:
+        """Let VP wait for good images in a row where two in a row were surprising.
+
+        An old image is not counted: it surprises because the robot has moved on.
+        """
+        limit = self.thresholds.get("surprise", math.inf)
+        surprising = self._is_new & (seen.surprise >= limit)
+        self._steady[surprising & self._surprised] = 0
+        self._surprised = np.where(self._is_new, surprising, self._surprised)
 
     def _update_reasons(
         self, seen: SelectorInput, good: np.ndarray, healthy: np.ndarray, leaving: np.ndarray
@@ -289,7 +304,7 @@ class MonitorSelector:
                     break
             else:
                 # No monitor objects to an image that is withheld after a late one.
-                if self._since_late[robot] < STEADY and not self.reason[robot]:
+                if self._steady[robot] < STEADY and not self.reason[robot]:
                     self.reason[robot] = MONITORS["frame_age"].reason
 
     def distrust(self, mask: np.ndarray, reason: str) -> None:
@@ -311,7 +326,8 @@ class MonitorSelector:
         self.reason[mask] = ""
         self._last_good[mask] = -np.inf
         self._returned[mask] = -np.inf
-        self._since_late[mask] = STEADY
+        self._steady[mask] = STEADY
+        self._surprised[mask] = False
         self._scorer.reset(mask)
 
     def _due(self, now: float) -> int:

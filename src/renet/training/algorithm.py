@@ -13,6 +13,7 @@ from renet.errors import RenetError
 from renet.interface import CONSTRAINTS, STEPS_PER_TICK
 from renet.models.adaptation import fuse, op_mask
 from renet.models.config import ModelCfg
+from renet.models.expectation import mean_blocks
 from renet.models.memory import EstimatorMemory
 from renet.models.oracle import true_image
 from renet.models.renet import RENet
@@ -169,6 +170,9 @@ class RenetAlgorithm:
         has_image = self.withholding.tick(fresh, obs.get("easier"), self.steps)
         oracle = self.model.cfg.perception == "oracle"
         image = true_image(obs["height_map"]) if oracle else obs["depth"]
+        blocks = self._blocks(image)
+        last_blocks = self._blocks(memory.frames[:, 0])
+        image_age = memory.image_age
         memory.see(image, has_image)
         memory.tick(self.model.advance)
         if self.mirrored_memory is not None:
@@ -179,6 +183,9 @@ class RenetAlgorithm:
             frames=memory.frames,
             has_image=memory.has_image,
             fresh=fresh,
+            blocks=blocks,
+            last_blocks=last_blocks,
+            image_age=image_age,
             latent_op=latent_op,
             latent_vp=latent_vp,
             op_mask=mask,
@@ -187,6 +194,12 @@ class RenetAlgorithm:
             height_map=obs["height_map"],
             far_map=obs["far_map"],
         )
+
+    def _blocks(self, image: Tensor) -> Tensor:
+        """Return the blocks of images [N, 48, 64], [N, 192]; [N, 0] without an expectation."""
+        if self.model.expectation is None:
+            return image.new_zeros(len(image), 0)
+        return mean_blocks(self.supervision.grow_grass(image.float())).half()
 
     @torch.no_grad()
     def process_env_step(

@@ -14,7 +14,14 @@ from torch import Tensor, nn
 from renet import __version__
 from renet.bundle import write_bundle
 from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec
-from renet.bundle.models import HAS_IMAGE, MAP_ERROR, VARIANCE, model_shapes
+from renet.bundle.models import (
+    HAS_IMAGE,
+    MAP_ERROR,
+    SURPRISE,
+    VARIANCE,
+    model_shapes,
+    recollection_shapes,
+)
 from renet.conversion import from_json
 from renet.errors import RenetError
 from renet.interface import (
@@ -27,6 +34,7 @@ from renet.interface import (
 from renet.models.adaptation import fuse
 from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
+from renet.models.expectation import Recollection, mean_blocks
 from renet.models.renet import RENet
 from renet.options import ExportCfg
 from renet.robots import GO1, Robot
@@ -208,22 +216,28 @@ class EstimatorGraph(nn.Module):
 
 
 class VisionGraph(nn.Module):
-    """Graph that runs at 10 Hz: the autoencoder and its anomaly scores."""
+    """Graph that runs at 10 Hz: the autoencoder, the expectation, and their scores."""
 
     def __init__(self, model: RENet) -> None:
         super().__init__()
         self.autoencoder = model.autoencoder
+        self.expectation = model.expectation
 
-    def forward(self, depth: Tensor) -> tuple[Tensor, ...]:
-        """Compute the reconstruction [N, 2, 48, 64], Loss_ad [N], and a variance score [N].
+    def forward(self, depth: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
+        """Compute the reconstruction [N, 2, 48, 64], Loss_ad [N], and other scores, [N] each.
 
-        The last of these is an output of the variance detector alone.
+        The variance score is an output of the variance detector alone, and the surprise of models
+        with an expectation. These also take `bundle.models.recollection_shapes`.
         """
         reconstruction, log_variance = self.autoencoder.predict(depth)
-        score = anomaly_score(depth, reconstruction)
-        if log_variance is None:
-            return reconstruction, score
-        return reconstruction, score, variance_score(depth, reconstruction, log_variance)
+        outputs = [reconstruction, anomaly_score(depth, reconstruction)]
+        if log_variance is not None:
+            outputs.append(variance_score(depth, reconstruction, log_variance))
+        if self.expectation is not None:
+            history, latent, last_image, age = known
+            recollection = Recollection(latent, history, mean_blocks(last_image), age[:, 0])
+            outputs.append(self.expectation.surprise(recollection, mean_blocks(depth[:, 0])))
+        return tuple(outputs)
 
 
 def export_models(model: RENet) -> dict[str, bytes]:
@@ -240,6 +254,9 @@ def export_models(model: RENet) -> dict[str, bytes]:
     shapes["estimator"][0][HAS_IMAGE] = (1,)
     if model.cfg.detector == "variance":
         shapes["vision"][1][VARIANCE] = ()
+    if model.expectation is not None:
+        shapes["vision"][0].update(recollection_shapes(model.cfg.history))
+        shapes["vision"][1][SURPRISE] = ()
     if model.vp.map_error_head is not None:
         shapes["estimator"][1][MAP_ERROR] = ()
     graphs = {"actor": ActorGraph, "estimator": EstimatorGraph, "vision": VisionGraph}

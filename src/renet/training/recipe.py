@@ -65,8 +65,13 @@ def set_learning(agent: RenetRunnerCfg) -> None:
     # The policy already stands at the beginning, so that it needs less noise than the paper's. The
     # variance detector knows which errors of the camera are usual: it notices glare and occlusion
     # two to eight times as often. It also learns how sparse grass looks (see `Supervision`).
+    # The expectation notices images that look healthy and contradict what the robot remembers.
     agent.model = ModelCfg(
-        initial_std=0.5, detector="variance", predict_map_error=True, predict_far_map=True
+        initial_std=0.5,
+        detector="variance",
+        predict_map_error=True,
+        predict_far_map=True,
+        expect_image=True,
     )
     agent.algorithm = NP3OCfg(
         # With a third of 0.008 robots crossed fewer gaps.

@@ -67,6 +67,13 @@ class TickRollout:
     """Base velocity one control step later, base frame, [K, N, 3] m/s."""
     next_valid: Tensor
     """False where that control step ended the episode, [K, N] bool."""
+    blocks: Tensor
+    """Blocks of the image of this tick, also of one that was withheld, float16, [K, N, 192], or
+    [K, N, 0] for a model without an expectation (see `renet.models.expectation`)."""
+    last_blocks: Tensor
+    """Blocks of the last image that VP was given before, likewise."""
+    image_age: Tensor
+    """Time for which images had been withheld before the tick, [K, N] s."""
     latent_op: Tensor
     """OP's latent h_b before the tick, [K, N, 64]."""
     latent_vp: Tensor

@@ -1,4 +1,4 @@
-"""Supervised losses: Loss_OP (RENet eq. 1), Loss_VP (eq. 2) and Loss_ad (eq. 4)."""
+"""Supervised losses: Loss_OP (RENet eq. 1), Loss_VP (eq. 2), Loss_ad (eq. 4); expected images."""
 
 import math
 from collections.abc import Callable
@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from renet.faults import Frames
 from renet.faults.vegetation import TallGrass
 from renet.interface import DEPTH_SHAPE, FRAMES
+from renet.models.expectation import Recollection
 from renet.models.him import target_view
 from renet.models.renet import RENet
 from renet.training import distributed
@@ -20,12 +21,15 @@ from renet.training.precision import compute_in, side_by_side
 from renet.training.storage import TickRollout
 
 LEARNERS = ("op", "vp", "detector")
-"""Networks trained by supervision: both estimators with their HIM, and the anomaly detector."""
+"""Networks trained by supervision: both estimators with their HIM, and the detector, to which the
+expectation of images belongs."""
 AUTOENCODER_SHARE = 0.4
 """Largest share of a mini-batch's image pairs that the autoencoder learns from. A few robots have
 few pairs, all much alike: from all of them it would learn longer than both estimators together."""
 GRASS_SHARE = 0.15
 """Share of the detector's image pairs with grass. With twice as many it misses other faults."""
+GRASS_EVERY = 7
+"""Robots from one that learns to expect images with grass to the next: a share of 0.14."""
 GRASS_BLADES = 20
 """Largest number of blades in view: the fault `tall_grass` at severity 2 of 5."""
 GRASS_VIEWS = 512
@@ -68,12 +72,12 @@ class Supervision:
         self._parts = {
             "op": _parameters(model.op, model.op_him),
             "vp": _parameters(model.vp, model.vp_him),
-            "detector": _parameters(model.autoencoder),
+            "detector": _parameters(model.autoencoder, model.expectation),
         }
         # Likelihoods have large gradients, which are clipped on their own so that they do not
         # shorten the estimators' steps. A dictionary, because a set has no fixed order, on which
         # the last bit of a gradient's norm depends.
-        likelihoods = _parameters(model.autoencoder, model.vp.map_error_head)
+        likelihoods = _parameters(model.autoencoder, model.vp.map_error_head, model.expectation)
         self._likelihoods = dict.fromkeys(likelihoods)
         if model.cfg.detector == "variance":
             self._grass = draw_grass().to(self.parameters[0].device)
@@ -146,6 +150,12 @@ class Supervision:
             batches.append(batch)
         return batches
 
+    def grow_grass(self, images: Tensor) -> Tensor:
+        """Return images [N, 48, 64] from which to expect others, some of them with grass."""
+        if self.model.cfg.detector != "variance":
+            return images
+        return grow_grass_before_some(images, self._grass)
+
     def _training_ticks(self, name: str, rollout: TickRollout) -> Tensor:
         """Return a mask of the ticks that train the estimator `name` (op or vp), [K, N] bool."""
         # The oracle is a VP that sees the true height map.
@@ -211,9 +221,10 @@ class Supervision:
         return {name: loss.detach() for name, loss in losses.items()}
 
     def _blind_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
-        """Compute the losses of OP and of the detector, which share no parameter with VP's."""
+        """Compute the losses of OP and of the detectors, which share no parameter with VP's."""
         losses = self._losses_of("op", rollout, batch.op)
-        return losses | self._anomaly_losses(rollout, batch)
+        losses |= self._anomaly_losses(rollout, batch)
+        return losses | self._expectation_losses(rollout, batch)
 
     def _vp_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
         """Compute the losses of VP."""
@@ -283,6 +294,26 @@ class Supervision:
             pairs = grow_grass(pairs, self._grass)
         return self.model.autoencoder.loss(pairs)
 
+    def _expectation_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
+        """Compute the loss of the expected images in all ticks after a robot's first.
+
+        VP's latents are those of the rollout, so that no gradient reaches VP.
+        """
+        expectation = self.model.expectation
+        if expectation is None or not batch.images:
+            return {}
+        ticks = rollout.environments(batch.index)
+        known = Recollection(
+            ticks.latent_vp.flatten(0, 1),
+            ticks.history.flatten(0, 1),
+            ticks.last_blocks.flatten(0, 1).float(),
+            ticks.image_age.flatten(),
+        )
+        loss = expectation.loss(known, ticks.blocks.flatten(0, 1).float())
+        # The first tick of an episode has no last image.
+        known_before = (~ticks.fresh).float().flatten()
+        return {"expectation": (loss * known_before).sum() / known_before.sum().clamp_min(1.0)}
+
     def _draw_pairs(self, rollout: TickRollout, batch: MiniBatch) -> Tensor:
         """Draw a random sample of a mini-batch's image pairs, [B, 2, 48, 64]."""
         count = min(self.cfg.autoencoder_images, math.ceil(AUTOENCODER_SHARE * batch.images))
@@ -325,6 +356,20 @@ def draw_grass(seed: int = 0) -> Tensor:
         grass = TallGrass(count, [rng])
         views.append(grass.corrupt(background, np.zeros(1)).image[0])
     return torch.from_numpy(np.stack(views))
+
+
+def grow_grass_before_some(images: Tensor, views: Tensor) -> Tensor:
+    """Put grass before every seventh robot's image, each time with a random view of blades.
+
+    Args:
+        images: Images of all robots, [N, 48, 64].
+        views: Views of blades (see `draw_grass`), [V, 48, 64].
+    """
+    overgrown = images.clone()
+    some = overgrown[::GRASS_EVERY]
+    choice = torch.randint(len(views), (len(some),), device=images.device)
+    overgrown[::GRASS_EVERY] = torch.minimum(some, views[choice])
+    return overgrown
 
 
 def grow_grass(pairs: Tensor, views: Tensor) -> Tensor:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from renet.bundle import Bundle
+from renet.bundle.models import SURPRISE, recollection_shapes
 from renet.camera import Intrinsics
 from renet.deploy.cameras.floor_view import floor_view, view_problem
 from renet.deploy.cameras.preprocess import DepthPreprocessor
@@ -18,8 +19,8 @@ from renet.robots import robots
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 _IMAGE_MONITORS = [name for name, monitor in MONITORS.items() if monitor.of_image]
-OF_IMAGES = tuple(name for name in _IMAGE_MONITORS if name != "frame_age")
-"""Monitors that judge images alone; files do not tell their images' ages."""
+OF_IMAGES = tuple(name for name in _IMAGE_MONITORS if name not in ("frame_age", "surprise"))
+"""Monitors that judge images alone; files tell neither their ages nor how the robot moved."""
 _MAX_BYTES = 16 * MEGABYTE
 """Largest size of an image file, bytes."""
 _MEDIAN_RANGE = (0.1, 20.0)
@@ -61,6 +62,11 @@ def image_scores(
     # Policies without a variance have the other score alone.
     outputs = {output.name for output in vision.get_outputs()}
     names = [name for name in ("anomaly_score", "variance_score") if name in outputs]
+    # Of these the scores of images alone do not depend.
+    unknown: dict[str, np.ndarray] = {}
+    if SURPRISE in outputs:
+        for name, shape in recollection_shapes(bundle.manifest.history).items():
+            unknown[name] = np.zeros((1, *shape), np.float32)
     preprocessor: DepthPreprocessor | None = None
     newest = np.zeros(0)
     rows = []
@@ -75,7 +81,7 @@ def image_scores(
         newest = preprocessor.image(pixels * scale)[None]
         # Vision judges pairs, the newest image first; the first image has no other.
         pair = np.stack((newest, older if older.size else newest), axis=1)
-        scores = dict(zip(names, vision.run(names, {"depth": pair}), strict=True))
+        scores = dict(zip(names, vision.run(names, {"depth": pair} | unknown), strict=True))
         seen = SelectorInput(
             anomaly_score=scores["anomaly_score"].reshape(-1),
             variance_score=scores.get("variance_score", np.zeros(1)).reshape(-1),

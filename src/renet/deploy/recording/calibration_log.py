@@ -111,6 +111,7 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
         seen = SelectorInput(
             anomaly_score=tick["anomaly"][None],
             variance_score=tick["variance"][None],
+            surprise=tick["surprise"][None],
             image=image,
             fresh=np.array([fresh]),
             age=tick["frame_age"][None],

@@ -34,6 +34,7 @@ def ratios(run: Recording) -> dict[str, np.ndarray]:
         "nearness": near,
         "variance": ticks["variance"],
         "reconstruction": ticks["anomaly"],
+        "surprise": ticks["surprise"],
         "disagreement": np.linalg.norm(apart, axis=1),
         "map_error": ticks["map_error"],
     }
