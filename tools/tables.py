@@ -249,6 +249,14 @@ def driven_to_edges(label: str) -> list[str]:
     return [f"{stop['falls']} ({stop['mode']})"]
 
 
+def driven_lies(label: str) -> list[str]:
+    """Which share crosses with a camera that lies: in mode camera, and in memory without and with."""
+    name = label.strip("`")
+    (run,) = [run for run in runs_of("driving/lies") if run["fault"] == name]
+    modes = ("camera", "memory_without", "memory_with")
+    return [f"{100 * run[mode]:.0f}" for mode in modes]
+
+
 def runs_of(name: str) -> list[dict[str, Any]]:
     """The rows of a study in benchmarks/results."""
     return json.loads((RESULTS / f"{name}.json").read_text())["runs"]
@@ -262,6 +270,7 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]] | None] = {
     ("docs/results.md", "Driven on flat ground"): driven,
     ("docs/results.md", "Driven over obstacles"): driven_over,
     ("docs/results.md", "Driven to edges"): driven_to_edges,
+    ("docs/results.md", "Driven with a camera that lies"): driven_lies,
     ("docs/memory.md", "Where memory ends"): reach,
     ("docs/memory.md", "Measure it"): black,
     ("docs/results.md", "Go2, one try"): go2,

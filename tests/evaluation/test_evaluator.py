@@ -101,6 +101,33 @@ def test_thresholds_below_zero_are_lifted_for_sparse_grass_too(tmp_path):
     assert (selector.thresholds["map_error"], selector.longest_memory) == (0.4, 7.0)
 
 
+def test_grass_that_surprises_now_and_then_but_not_twice_in_a_row_lifts_no_threshold(tmp_path):
+    bundle = Bundle.load(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    scores = np.linspace(0.01, 0.02, 300)
+    healthy = {name: [scores] for name in MONITORS}
+    peaks = np.where(np.arange(300) % 10 == 0, 0.03, 0.01)
+    grassy = {"surprise": [peaks], "variance": [peaks]}
+    _store(CalibrateCfg(bundle.path), bundle, healthy, grassy, ({}, 7.0))
+    thresholds = read_manifest(bundle.path).selector.thresholds
+    assert thresholds["surprise"] < 0.025
+    assert thresholds["variance"] == pytest.approx(0.03)
+
+
+def test_calibration_walks_in_the_conditions_that_are_asked_for(tmp_path, monkeypatch):
+    bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    tasks = []
+
+    def begin(evaluator, task, *arguments):
+        tasks.append(task)
+        raise RenetError("begun")
+
+    monkeypatch.setattr(Evaluator, "make_env", begin)
+    for conditions in ("nominal", "training"):
+        with pytest.raises(RenetError, match="begun"):
+            run_calibrate(CalibrateCfg(bundle, terrains=("parkour",), conditions=conditions))
+    assert ["push" in task.events for task in tasks] == [False, True]
+
+
 WRONG = {"robots": 0, "terrains": ("flat", "park"), "speed": 0.0, "seconds": np.inf}
 WRONG |= {"false_alarm": 2.0, "false_alarms_per_hour": 0.0}
 

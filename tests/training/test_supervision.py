@@ -165,6 +165,19 @@ def test_grass_covers_15_of_100_pairs():
     assert (pairs == 0.9).all()
 
 
+def test_images_are_expected_through_grass_by_every_seventh_robot():
+    images = torch.full((70, 48, 64), 0.9)
+    model = RENet(ModelCfg(detector="variance", expect_image=True), critic_size=5)
+    seen = Supervision(model, SupervisionCfg()).grow_grass(images)
+    overgrown = (seen < images).flatten(1).any(1)
+    # A view may hold a single blade, beside the image.
+    assert overgrown[::7].float().mean() > 0.7
+    assert overgrown.sum() == overgrown[::7].sum()
+    assert (images == 0.9).all()
+    plain = RENet(ModelCfg(expect_image=True), critic_size=5)
+    assert torch.equal(Supervision(plain, SupervisionCfg()).grow_grass(images), images)
+
+
 @pytest.mark.parametrize(
     ("detector", "pairs", "learned", "overgrown"),
     [("reconstruction", 12, 5, 0), ("reconstruction", 120, 40, 0), ("variance", 120, 40, 6)],

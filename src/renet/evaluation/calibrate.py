@@ -30,7 +30,7 @@ from renet.evaluation.rollout import (
 )
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, TICK_DT, Engine
-from renet.selector.calibration import calibrate, calibrate_monitors
+from renet.selector.calibration import calibrate, calibrate_monitors, lowest_in_a_row
 from renet.selector.monitors import MONITORS
 from renet.terminal import show
 
@@ -172,9 +172,11 @@ def _store(
 def _accept_grass(thresholds: dict[str, float], grassy: Series) -> None:
     """Raise thresholds until monitors accept most runs through sparse grass, in place."""
     for name, runs in grassy.items():
-        if name not in thresholds or not runs:
+        if name not in thresholds or not any(len(run) >= MONITORS[name].in_a_row for run in runs):
             continue
-        passes = float(np.quantile([run.max() for run in runs], IN_SPARSE_GRASS))
+        lowest = [lowest_in_a_row(run, MONITORS[name].in_a_row) for run in runs]
+        peaks = [run.max() for run in lowest if len(run)]
+        passes = float(np.quantile(peaks, IN_SPARSE_GRASS))
         # A detector that has not learned grass yet must still notice other faults. A threshold may
         # be negative: then half of it is the higher one.
         twofold = max(2.0 * thresholds[name], 0.5 * thresholds[name])
