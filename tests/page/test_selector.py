@@ -106,7 +106,8 @@ def test_selector_decides_and_says_the_same(node_page, tmp_path: Path, kind, mem
     given = {
         "spec": shared["bundles"][0]["selectors"][kind],
         "contract": {
-            name: shared[name] for name in ("visionThreshold", "near", "covered", "steady")
+            name: shared[name]
+            for name in ("visionThreshold", "near", "covered", "steady", "agrees")
         },
         "images": pictures.reshape(PICTURES, -1).tolist(),
         "steps": steps,

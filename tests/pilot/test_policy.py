@@ -131,10 +131,15 @@ def test_it_leaves_on_glare_that_the_papers_rule_misses():
     assert trusted(shipped, "switch", "glare")
 
 
-def test_a_threshold_without_the_output_it_judges_is_refused(models, manifest, tmp_path):
-    spec = SelectorSpec(beta=0.01, thresholds={"variance": 9.2})
+@pytest.mark.parametrize(
+    ("monitor", "output"), [("variance", "variance_score"), ("surprise", "surprise")]
+)
+def test_a_threshold_without_the_output_it_judges_is_refused(
+    models, manifest, tmp_path, monitor, output
+):
+    spec = SelectorSpec(beta=0.01, thresholds={monitor: 2.0})
     path = write_bundle(tmp_path / "blind", models, replace(manifest, selector=spec))
-    with pytest.raises(RenetError, match="no variance_score: run `renet calibrate`"):
+    with pytest.raises(RenetError, match=f"has no {output}: run `renet calibrate`"):
         Bundle.load(path)
 
 

@@ -82,9 +82,17 @@ def test_a_spoilt_image_is_withheld_at_once_and_a_good_one_used_again(spoilt, re
 
 def test_a_lie_that_surprises_now_and_then_is_never_believed():
     walk = Walk()
-    lies = [walk.tick(surprise=2.0 if tick % 6 < 2 else 1.0) for tick in range(18)]
-    assert lies == [REMEMBERS] * 18
-    assert walk.run(STEADY)[-2:] == [SEES, SEES]
+    lies = [walk.tick(surprise=2.0 if tick % 6 < 2 else 1.0) for tick in range(12)]
+    assert lies == [REMEMBERS] * 12
+    assert walk.run(STEADY)[-2:] == [REMEMBERS, SEES]
+
+
+def test_a_lie_that_surprises_less_and_less_is_believed_only_if_it_surprises_little():
+    walk = Walk()
+    assert walk.run(2, surprise=2.0) == [REMEMBERS] * 2
+    assert walk.run(8, surprise=1.0) == [REMEMBERS] * 8
+    assert walk.run(STEADY, surprise=0.7) == [REMEMBERS] * (STEADY - 1) + [SEES]
+    assert walk.run(3, surprise=1.0) == [SEES] * 3, "who sees again is no longer lied to"
 
 
 def test_one_surprising_image_is_withheld_alone():

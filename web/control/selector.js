@@ -56,10 +56,11 @@ function standardDeviation(values) {
 export class Selector {
   /**
    * @param {object} spec one of a bundle's `selectors` in the contract.
-   * @param {object} contract visionThreshold, near, covered, steady.
+   * @param {object} contract visionThreshold, near, covered, steady, agrees.
    */
   constructor(spec, contract) {
     Object.assign(this, spec, { contract });
+    this.surprisingFrom = this.monitors.find(({ name }) => name === "surprise")?.threshold ?? Infinity;
     this.reset();
   }
 
@@ -73,7 +74,7 @@ export class Selector {
     this.looked = false;
     this.steady = this.contract.steady;
     this.isNew = false;
-    this.surprised = false;
+    this.surprised = this.liedTo = false;
     this.periods = null;
     this.goodSince = 0;
     this.lastGood = this.returned = -Infinity;
@@ -116,7 +117,7 @@ export class Selector {
    */
   update(seen, now) {
     const verdicts = this.judge({ ...seen, fresh: seen.fresh && !this.looked });
-    if (this.looked) this.heedSurprise(verdicts);
+    if (this.looked) this.heedSurprise(seen);
     this.looked = false;
     const due = this.due(now);
     if (due === 0) return this.vision;
@@ -147,11 +148,14 @@ export class Selector {
   }
 
   /** After two surprising images in a row, wait for good ones; an old image surprises anyway. */
-  heedSurprise(verdicts) {
+  heedSurprise(seen) {
     if (!this.isNew) return;
-    const surprising = verdicts.some((fine, i) => !fine && this.monitors[i].name === "surprise");
-    if (surprising && this.surprised) this.steady = 0;
+    const surprising = seen.surprise >= this.surprisingFrom;
+    this.liedTo ||= surprising && this.surprised;
     this.surprised = surprising;
+    const disagrees = seen.surprise >= this.contract.agrees * this.surprisingFrom;
+    if (this.liedTo && disagrees) this.steady = 0;
+    this.liedTo &&= this.steady < this.contract.steady;
   }
 
   /** Whether VP has a good image, and whether it may drive. */

@@ -1,8 +1,8 @@
 """Expectation of the next image from VP's memory, the robot's motion and the last image.
 
 An autoencoder knows what images look like, but not what the next image should show. An image that
-is mirrored, turned or of a wrong scale looks like any other, and contradicts what the robot has
-just seen.
+is turned, of a wrong scale or washed over by stray light may look like any other, and contradicts
+what the robot has just seen.
 """
 
 from typing import NamedTuple

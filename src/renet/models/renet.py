@@ -46,8 +46,7 @@ class RENet(nn.Module):
         return torch.cat((next_op, next_vp), dim=-1)
 
     def supervised_parameters(self) -> list[nn.Parameter]:
-        """List the parameters trained by supervision: those of estimators, HIM,
-        autoencoder and expectation."""
+        """List the parameters trained by supervision: all but those of actor and critics."""
         estimators = (self.op, self.vp, self.op_him, self.vp_him)
         modules = (*estimators, self.autoencoder, self.expectation)
         return [p for module in modules if module is not None for p in module.parameters()]

@@ -35,7 +35,7 @@ from renet.robots import Robot, find_robot
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
 from renet.selector.monitors import COVERED, MONITORS, NEAR
-from renet.selector.selector import SELECTORS, STEADY
+from renet.selector.selector import AGREES, SELECTORS, STEADY
 from renet.terrain.tiles import TILE
 
 GROUNDS = {
@@ -102,6 +102,7 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "near": NEAR,
         "covered": COVERED,
         "steady": STEADY,
+        "agrees": AGREES,
         "reach": _reach(),
         "palette": _palette(),
         "faults": [_fault(FAULTS[name], title) for name, title in OFFERED.items()],

@@ -25,6 +25,9 @@ BETWEEN_RETURNS = 5.0
 STEADY = 5
 """Number of new images after a late one, or after two surprising ones, from which on VP uses images
 again. Images of a camera that often delivers late look healthy, and so do many of one that lies."""
+AGREES = 0.5
+"""Share of the threshold of surprise below which images must stay after two surprising ones. The
+older the last image is, the less is expected, and the less a lie surprises."""
 SLOWEST = 1.0
 """Longest delay of the filter, s."""
 SELECTORS = ("memory", "switch")
@@ -171,6 +174,7 @@ class MonitorSelector:
         self._steady = np.full(num_robots, STEADY)
         self._is_new = np.zeros(num_robots, bool)
         self._surprised = np.zeros(num_robots, bool)
+        self._lied_to = np.zeros(num_robots, bool)
         self._periods: int | None = None
         self._good_since = np.zeros(num_robots)
         self._last_good = np.full(num_robots, -np.inf)
@@ -258,8 +262,11 @@ class MonitorSelector:
         """
         limit = self.thresholds.get("surprise", math.inf)
         surprising = self._is_new & (seen.surprise >= limit)
-        self._steady[surprising & self._surprised] = 0
+        self._lied_to |= surprising & self._surprised
         self._surprised = np.where(self._is_new, surprising, self._surprised)
+        disagrees = self._is_new & (seen.surprise >= AGREES * limit)
+        self._steady[self._lied_to & disagrees] = 0
+        self._lied_to &= self._steady < STEADY
 
     def _update_reasons(
         self, seen: SelectorInput, good: np.ndarray, healthy: np.ndarray, leaving: np.ndarray
@@ -328,6 +335,7 @@ class MonitorSelector:
         self._returned[mask] = -np.inf
         self._steady[mask] = STEADY
         self._surprised[mask] = False
+        self._lied_to[mask] = False
         self._scorer.reset(mask)
 
     def _due(self, now: float) -> int:
