@@ -46,6 +46,16 @@ def test_the_gain_is_paired_by_robot():
     assert summary["gain_ci95"] == pytest.approx([0.5, 0.5])
     row = {"fault": "turned", "camera": 0.2, "memory_with": 0.75, "memory_without": 0.25}
     assert summary["runs"] == [row]
+    assert summary["gain_unseen"] is None
+
+
+def test_faults_that_nobody_looked_at_are_summed_up_apart():
+    studies = {}
+    for name, shares in (("with", (0.8, 0.5)), ("without", (0.2, 0.4))):
+        seen, unseen = (study({"memory": share}, [share]) for share in shares)
+        unseen["runs"][0]["fault"] = lies.UNSEEN[0]
+        studies[name] = seen | {"runs": seen["runs"] + unseen["runs"]}
+    assert summarise(studies, {}, 2.0)["gain_unseen"] == pytest.approx(0.1)
 
 
 def test_a_bundle_without_the_monitor_is_the_same_otherwise(tmp_path: Path):
