@@ -255,7 +255,7 @@ def driven_to_edges(label: str) -> list[str]:
 
 
 def driven_lies(label: str) -> list[str]:
-    """Which share crosses with a camera that lies: in mode camera, and in memory without and with."""
+    """Shares that cross with a camera that lies: camera, memory without and with surprise."""
     name = label.strip("`")
     (run,) = [run for run in runs_of("driving/lies") if run["fault"] == name]
     modes = ("camera", "memory_without", "memory_with")
