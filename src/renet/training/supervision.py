@@ -302,17 +302,21 @@ class Supervision:
         expectation = self.model.expectation
         if expectation is None or not batch.images:
             return {}
-        ticks = rollout.environments(batch.index)
+
+        def of_batch(tensor: Tensor) -> Tensor:
+            """Select the mini-batch's rows of a tensor [K, N, ...], [K * B, ...]."""
+            return tensor[:, batch.index].flatten(0, 1)
+
         known = Recollection(
-            ticks.latent_vp.flatten(0, 1),
-            ticks.history.flatten(0, 1),
-            ticks.last_blocks.flatten(0, 1).float(),
-            ticks.image_age.flatten(),
+            latent=of_batch(rollout.latent_vp),
+            history=of_batch(rollout.history),
+            blocks=of_batch(rollout.last_blocks).float(),
+            age=of_batch(rollout.image_age),
         )
-        loss = expectation.loss(known, ticks.blocks.flatten(0, 1).float())
+        loss = expectation.loss(known, of_batch(rollout.blocks).float())
         # The first tick of an episode has no last image.
-        known_before = (~ticks.fresh).float().flatten()
-        return {"expectation": (loss * known_before).sum() / known_before.sum().clamp_min(1.0)}
+        has_last = (~of_batch(rollout.fresh)).float()
+        return {"expectation": (loss * has_last).sum() / has_last.sum().clamp_min(1.0)}
 
     def _draw_pairs(self, rollout: TickRollout, batch: MiniBatch) -> Tensor:
         """Draw a random sample of a mini-batch's image pairs, [B, 2, 48, 64]."""
