@@ -67,6 +67,41 @@ def test_calibrated_monitors_keep_the_stated_rate_on_new_robots() -> None:
     assert sum(map(len, alarms)) / 40.0 <= 1.0
 
 
+def with_a_burst(runs: list[np.ndarray], height: float) -> list[np.ndarray]:
+    """The same runs, and one with a burst far above them."""
+    burst = np.zeros(300)
+    burst[100:105] = height
+    return [*runs, burst]
+
+
+def test_one_walk_of_many_hours_sets_no_threshold() -> None:
+    runs = {"variance": hours(4.0), "disagreement": hours(4.0, 1)}
+    usual, _ = calibrate_monitors(runs)
+    odd = {name: with_a_burst(of, 100.0) for name, of in runs.items()}
+    thresholds, robot_hours = calibrate_monitors(odd)
+    for name, threshold in thresholds.items():
+        assert usual[name] < threshold < 1.1 * usual[name], "what remains of the rate is less"
+    new = {"variance": hours(40.0, 2), "disagreement": hours(40.0, 3)}
+    alarms = [decluster(run, thresholds[name]) for name, runs in new.items() for run in runs]
+    assert 1 / robot_hours + sum(map(len, alarms)) / 40.0 <= 0.5
+
+
+@pytest.mark.parametrize(("healthy", "bursts"), [(3.0, 1), (4.0, 2)])
+def test_bursts_that_come_as_often_as_false_alarms_may_are_not_left_out(healthy, bursts) -> None:
+    runs = hours(healthy)
+    for _ in range(bursts):
+        runs = with_a_burst(runs, 100.0)
+    thresholds, _ = calibrate_monitors({"variance": runs})
+    assert thresholds["variance"] > 100.0
+
+
+def test_no_walk_is_left_out_without_need() -> None:
+    """Forty walks that are all alike: without one of them the highest score is the same."""
+    runs = hours(0.1, runs=1) * 40
+    thresholds, robot_hours = calibrate_monitors({"variance": runs})
+    assert thresholds["variance"] == return_level(runs, 0.5 * robot_hours)
+
+
 def test_what_never_varies_gets_its_floor_or_nothing() -> None:
     still = [np.full(100, 0.1), np.full(50, 0.1)]
     thresholds, _ = calibrate_monitors(
