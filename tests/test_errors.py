@@ -19,7 +19,7 @@ WALK = ("deploy", "--camera", "sim", "--seconds", "0.1")
 SCENE = (*WALK, "--scene")
 REPLAY = ("deploy", "--camera", "replay", "--recording")
 TRAIN = ("train", "Renet-Go1-Flat", "--config")
-SHIPS = "go1-parkour or go2-parkour, which ship"
+SHIPS = "go1-parkour or go1-driven or go2-parkour, which ship"
 
 MISTAKES: dict[tuple[str, ...], tuple[str, str]] = {
     # Names: the nearest ones, or all.

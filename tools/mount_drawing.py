@@ -188,6 +188,7 @@ def dimension(
 
 
 if __name__ == "__main__":
+    # Both bundles of a Go1 have the same mount.
     for name in SHIPPED:
         bundle = Bundle.load(name)
         path = FIGURES / f"{name.split('-')[0]}_mount.svg"

@@ -83,7 +83,7 @@ def test_a_folder_comes_before_the_bundle_that_ships_under_its_name(bundle_path,
     [
         ("go1-parcour", "did you mean go1-parkour"),
         ("someone/walks", "is hf://someone/walks"),
-        ("mine", "or go1-parkour or go2-parkour, which ship"),
+        ("mine", "or go1-parkour or go1-driven or go2-parkour, which ship"),
     ],
 )
 def test_a_name_of_no_bundle_is_answered_with_what_to_write(tmp_path, monkeypatch, name, words):

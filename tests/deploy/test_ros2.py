@@ -23,7 +23,6 @@ from renet.deploy.ros2 import TOPIC, Ros2Teleop, TwistStamped, domain_of
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
-from tests.driven import driven_bundle
 
 from .fakes import until
 from .robots.dds import free_domain
@@ -274,11 +273,10 @@ def test_the_whole_program_walks_turns_and_stands_in_silence(node, topic, tmp_pa
 
 def test_a_policy_that_can_be_driven_turns_on_the_spot_and_walks_back(node, topic, tmp_path):
     """Forward, stop, round and back, as a separate process publishes it; in silence it stands."""
-    pytest.importorskip("mjlab", reason="needs renet-locomotion[train]")
     ahead, stop, spot, back = (0.6, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (-0.6, 0.0, 0.0)
     phases = [(1.5, ahead), (1.0, stop), (3.0, spot), (3.0, back)]
-    options = [f"--bundle={driven_bundle(tmp_path)}", "--mode=camera", "--seconds=14"]
-    told, walking = deploy(node, topic, tmp_path / "walk", *options, phases=phases)
+    options = ["--bundle=go1-driven", "--mode=camera", "--seconds=14"]
+    told, walking = deploy(node, topic, tmp_path, *options, phases=phases)
     assert "refused" not in told
     for velocity in (ahead, spot, back):
         # The first half second is for changing from one to the next.

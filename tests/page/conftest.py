@@ -8,16 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
-from renet.bundle import pretrained, read_manifest, write_bundle, write_manifest
-from renet.bundle.models import MODELS
-from renet.interface import PROPRIOCEPTION
-from renet.models.config import ModelCfg
-from renet.models.renet import RENet
+from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
-from renet.training.export import export_models
 from tests.browser import open_browser
 from tests.page.visit import DESKTOP, PHONE, Visit
 
@@ -57,31 +51,21 @@ def memory_page(node_page: Path, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def twist_page(node_page: Path, tmp_path_factory) -> Path:
-    """The page of the shipped weights in a bundle that says that they are told twists."""
-    folder = tmp_path_factory.mktemp("twist")
-    path = shutil.copytree(pretrained("go1-parkour"), folder / "b")
-    write_manifest(path, replace(read_manifest(path), proprioception=PROPRIOCEPTION))
-    return write_page(PageCfg((path,), folder / "page"))
+def driven_page(node_page: Path, tmp_path_factory) -> Path:
+    """The page of the bundle that is told twists."""
+    folder = tmp_path_factory.mktemp("driven")
+    return write_page(PageCfg((pretrained("go1-driven"),), folder / "page"))
 
 
 @pytest.fixture(scope="session")
-def expecting_page(node_page: Path, tmp_path_factory) -> Path:
-    """The page of the shipped weights with an untrained vision model that expects images.
-
-    It expects that images stay as they are, about.
-    """
-    torch.manual_seed(0)
-    networks = RENet(ModelCfg(detector="variance", expect_image=True), critic_size=10).eval()
-    shipped = pretrained("go1-parkour")
-    models = {name: (shipped / f"{name}.onnx").read_bytes() for name in MODELS}
-    models["vision"] = export_models(networks)["vision"]
-    manifest = read_manifest(shipped)
-    # The untrained detector objects to nothing.
+def surprised_page(node_page: Path, tmp_path_factory) -> Path:
+    """The page of the bundle that expects images, to which only surprising ones are odd."""
+    folder = tmp_path_factory.mktemp("surprised")
+    path = shutil.copytree(pretrained("go1-driven"), folder / "b")
+    manifest = read_manifest(path)
     thresholds = {"surprise": 0.3, "variance": 99.0, "reconstruction": 0.25}
     selector = replace(manifest.selector, thresholds=thresholds)
-    folder = tmp_path_factory.mktemp("expecting")
-    path = write_bundle(folder / "b", models, replace(manifest, selector=selector))
+    write_manifest(path, replace(manifest, selector=selector))
     return write_page(PageCfg((path,), folder / "page"))
 
 

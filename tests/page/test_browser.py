@@ -40,9 +40,9 @@ def test_a_go2_stands_up_and_a_visitor_changes_to_the_go1(visit):
     parts = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
     drawn = one.its("runtime.look.map(({ name }) => name.split('-')[0])")
     assert {*drawn} == {TRUNK, *parts}, "by its own meshes"
-    one.page.select_option("#bundle", label="Go1")
+    one.page.select_option("#bundle", label="Go1 · parkour")
     one.until("globalThis.renetPage?.page.runtime.bundle.robot === 'Unitree Go1'")
-    assert "?robot=go1&ground=" in one.page.url
+    assert "?robot=go1&bundle=go1-parkour&ground=" in one.page.url
 
 
 def test_a_robot_that_lies_in_a_gap_is_seen(visit):

@@ -1,22 +1,17 @@
 """The page in a real browser: it obeys keys, sticks, gamepads and the mouse."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.page.conftest import served
 from tests.page.visit import DESKTOP, PHONE, WALKS, Visit
 
 pytestmark = pytest.mark.wall_clock
 
+DRIVEN = "?robot=go1&bundle=go1-driven&ground=flat&fault=none"
+"""The scene with the bundle that goes in all directions."""
 TOLD = "Array.from(renetPage.page.simulations[0].controller.observation.slice(6, 9))"
 """What the first robot's policy is told: (x, y, z)."""
-STAND = """for (const { controller: { policy } } of renetPage.page.simulations) {
-  const act = policy.act.bind(policy);
-  policy.act = async (...given) => (await act(...given)).fill(0);
-} 0"""
-"""Lets policies answer with the default pose: the shipped weights do not know twists, and fall."""
 GAMEPAD = """navigator.getGamepads = () => [null, renetPad];
 globalThis.renetPad = { mapping: "standard", axes: [0, 0, 0, 0], buttons: [] };
 for (let n = 0; n < 17; n += 1) renetPad.buttons.push({ pressed: false, value: 0 }); 0"""
@@ -64,22 +59,15 @@ def test_every_control_answers_to_keys(visit):
     one.until("!renetPage.page.resetDue && renetPage.page.now < 1")
 
 
-@pytest.fixture(scope="module")
-def twist_address(twist_page: Path):
-    with served(twist_page) as address:
-        yield address
-
-
 def told_soon(one: Visit, expected: str) -> None:
     """Wait until both policies are told (x, y, z), of which a condition holds."""
     one.until(f"(([x, y, z]) => {expected})({TOLD})")
 
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-def test_a_visitor_drives_all_round_by_keys(visit, twist_address, size):
-    """What reaches the policy is what was asked for; the robot itself stands."""
-    one = visit("?ground=flat&fault=none", size, at=twist_address).load(WALKS)
-    one.ask(STAND)
+def test_a_visitor_drives_all_round_by_keys(visit, size):
+    """What reaches the policy is what was asked for."""
+    one = visit(DRIVEN, size).load(WALKS)
     assert one.page.locator("#show").is_hidden()
     one.press("w", "ArrowUp")
     told_soon(one, "Math.abs(x - 0.8) < 1e-6 && y === 0")
@@ -106,10 +94,29 @@ def test_a_visitor_drives_all_round_by_keys(visit, twist_address, size):
     one.until(f"!renetPage.page.driver.driven && renetPage.page.now < {driven_for}")
 
 
+def test_the_robot_goes_where_a_visitor_drives_it(visit):
+    one = visit(DRIVEN).load(WALKS)
+    walked = "renetPage.page.simulations[0].walked"
+    for key, condition in (
+        ("s", f"{walked}.forward < -0.3"),
+        ("w", f"{walked}.forward > 0.3"),
+        ("q", f"{walked}.left > 0.15"),
+        ("e", f"{walked}.left < -0.15"),
+        ("a", f"{walked}.turnRate > 0.5"),
+        ("d", f"{walked}.turnRate < -0.5"),
+    ):
+        one.press(" ")
+        for _ in range(6 if key in "ws" else 0):
+            one.press(key)
+        one.page.keyboard.down(key)
+        one.until(condition)
+        one.page.keyboard.up(key)
+    assert not one.its("simulations[0].fell")
+
+
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
-def test_a_visitor_drives_all_round_by_the_pad(visit, twist_address, size):
-    one = visit("?ground=flat&fault=none", size, at=twist_address).load(WALKS)
-    one.ask(STAND)
+def test_a_visitor_drives_all_round_by_the_pad(visit, size):
+    one = visit(DRIVEN, size).load(WALKS)
     mouse = one.page.mouse
     for stick, (across, along), condition in (
         ("#go", (0, -1), "Math.abs(x - 1) < 1e-6 && y === 0"),
@@ -141,9 +148,8 @@ def plug_in(one: Visit, mapping: str) -> None:
     )
 
 
-def test_a_visitor_drives_all_round_by_a_gamepad(visit, twist_address):
-    one = visit("?ground=flat&fault=none", at=twist_address).load(WALKS)
-    one.ask(STAND)
+def test_a_visitor_drives_all_round_by_a_gamepad(visit):
+    one = visit(DRIVEN).load(WALKS)
     one.ask(GAMEPAD)
     plug_in(one, "")
     one.until("document.querySelector('#message').textContent.includes('does not know')")

@@ -1,11 +1,10 @@
-"""The page with a policy that was trained to be driven: its robot goes where it is told."""
+"""The page with the policy that can be driven: its robot goes where it is told."""
 
 from pathlib import Path
 
 import pytest
 
-from renet.page.writer import WEB, PageCfg, write_page
-from tests.driven import driven_bundle
+from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
 pytestmark = pytest.mark.wall_clock
@@ -20,16 +19,10 @@ COMMANDS = {
 """Velocities ahead and to the left, m/s, and turn rates, rad/s."""
 
 
-@pytest.fixture(scope="module")
-def driven_page(node_page: Path, tmp_path_factory) -> Path:
-    pytest.importorskip("mjlab")
-    folder = tmp_path_factory.mktemp("driven")
-    return write_page(PageCfg((driven_bundle(folder),), folder / "page"))
-
-
-def test_it_walks_back_and_sideways_and_turns(driven_page):
+def test_it_walks_back_and_sideways_and_turns(node_page: Path):
     asked = [",".join(map(str, velocity)) for velocity in COMMANDS.values()]
-    walks = run_node("drive.mjs", WEB, driven_page, "?ground=flat&fault=none", "camera", *asked)
+    link = "?robot=go1&bundle=go1-driven&ground=flat&fault=none"
+    walks = run_node("drive.mjs", WEB, node_page, link, "camera", *asked)
     for (way, velocity), walk in zip(COMMANDS.items(), walks, strict=True):
         assert not walk["fell"], way
         walked = (walk["forward"], walk["left"], walk["turnRate"])

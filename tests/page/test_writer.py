@@ -177,12 +177,19 @@ def test_bundles_are_called_by_their_robot_and_by_name_among_several():
     (alone, go2) = contract([go1, Bundle.load("go2-parkour")])["bundles"]
     assert (alone["title"], go2["title"]) == ("Go1", "Go2")
     titles = [one["title"] for one in contract([go1, other])["bundles"]]
-    assert titles == ["Go1 · go1-parkour", "Go1 · mine"]
+    assert titles == ["Go1 · parkour", "Go1 · mine"]
 
 
-def test_download_is_small(page):
-    compressed = sum(len(gzip.compress(p.read_bytes())) for p in page.rglob("*") if p.is_file())
-    assert compressed < 12 * MEGABYTE
+def test_download_of_a_visit_is_small(page):
+    """A visit loads the models of one bundle."""
+    sizes = {}
+    for path in page.rglob("*"):
+        if path.is_file():
+            sizes[path.relative_to(page).as_posix()] = len(gzip.compress(path.read_bytes()))
+    bundles = sum(size for name, size in sizes.items() if name.startswith("bundles/"))
+    for entry in json.loads((page / MARK).read_text())["bundles"]:
+        own = sum(size for name, size in sizes.items() if name.startswith(entry["folder"] + "/"))
+        assert sum(sizes.values()) - bundles + own < 10 * MEGABYTE, entry["name"]
 
 
 def test_files_arrive_with_types_that_browsers_ask_for(address):

@@ -44,8 +44,8 @@ class InspectCfg:
     """Print a bundle's inputs, robot and camera."""
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour; or
-    hf://OWNER/NAME on the Hugging Face Hub."""
+    """Bundle folder, or the name of one that ships: go1-parkour (the default), go1-driven,
+    go2-parkour; or hf://OWNER/NAME on the Hugging Face Hub."""
 
 
 def inspect(cfg: InspectCfg) -> None:

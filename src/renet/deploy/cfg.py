@@ -40,8 +40,9 @@ class DeployCfg:
     """Run a bundle on a robot; leaves a recording, a timeline and a score."""
 
     bundle: tyro.conf.Positional[Path | None] = None
-    """Bundle folder, or the name of one that ships: go1-parkour (the default), go2-parkour (that of
-    --robot go2); or hf://OWNER/NAME on the Hugging Face Hub."""
+    """Bundle folder, or the name of one that ships: go1-parkour (the default), go1-driven (walks
+    backward and sideways, too), go2-parkour (that of --robot go2); or hf://OWNER/NAME on the
+    Hugging Face Hub."""
     robot: str = "mujoco"
     """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode. go2: a Unitree Go2
     EDU on a cable. Or the name of a robot that an installed package adds. Its own options are

@@ -45,7 +45,8 @@ class PlayCfg(PolicyOptions):
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or a checkpoint or run folder; or the name of a bundle that comes with renet:
-    go1-parkour (the default), go2-parkour; or hf://OWNER/NAME on the Hugging Face Hub."""
+    go1-parkour (the default), go1-driven, go2-parkour; or hf://OWNER/NAME on the Hugging Face
+    Hub."""
     out: Path | None = None
     """The film; results/play.mp4 by default."""
     terrain: Terrain | Literal["parkour"] = "gap"

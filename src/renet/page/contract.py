@@ -178,11 +178,13 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
 
 
 def _title(bundle: Bundle, bundles: Sequence[Bundle]) -> str:
-    """What the page calls a bundle: its robot, "Go1", and its own name among several of that."""
+    """What the page calls a bundle: its robot, "Go1"; among several of that, "Go1 · driven"."""
     robot = bundle.manifest.robot.name
     others = [one for one in bundles if one.manifest.robot.name == robot]
     nickname = robot.split()[-1]
-    return nickname if len(others) == 1 else f"{nickname} · {bundle.name}"
+    if len(others) == 1:
+        return nickname
+    return f"{nickname} · {bundle.name.removeprefix(f'{nickname.lower()}-')}"
 
 
 def _opening(remembers: bool) -> dict[str, Any]:

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from renet.bundle import pretrained
 from renet.errors import RenetError
 from renet.evaluation.studies.backing import BackingStudy, outcomes
-from tests.driven import driven_bundle
 
 from .test_stops import StillEvaluator
+
+DRIVEN = pretrained("go1-driven")
 
 
 def test_outcomes_are_those_of_the_first_try():
@@ -26,19 +28,14 @@ def test_outcomes_are_those_of_the_first_try():
     assert fell.tolist() == [False, True, False, False, True]
 
 
-@pytest.fixture(scope="module")
-def driven(tmp_path_factory):
-    return driven_bundle(tmp_path_factory.mktemp("driven"))
-
-
-def test_a_robot_that_stands_neither_backs_out_nor_falls(tmp_path, driven):
-    study = BackingStudy(tmp_path, bundle=driven, quick=True, seconds=1.0, kinds=("stairs_up",))
-    (run,) = study.run(StillEvaluator(driven))["runs"]
+def test_a_robot_that_stands_neither_backs_out_nor_falls(tmp_path):
+    study = BackingStudy(tmp_path, bundle=DRIVEN, quick=True, seconds=1.0, kinds=("stairs_up",))
+    (run,) = study.run(StillEvaluator(DRIVEN))["runs"]
     assert (run["backed"], run["falls"], run["robots"]) == (0, 0, 6)
 
 
-def test_a_policy_that_can_be_driven_backs_out(tmp_path, driven):
-    study = BackingStudy(tmp_path, bundle=driven, quick=True, kinds=("gap",))
+def test_a_policy_that_can_be_driven_backs_out(tmp_path):
+    study = BackingStudy(tmp_path, bundle=DRIVEN, quick=True, kinds=("gap",))
     (run,) = study.run()["runs"]
     assert run["backed"] >= 4
     assert run["success_rate"] == run["backed"] / run["robots"]

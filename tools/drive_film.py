@@ -1,0 +1,58 @@
+"""Make the moving picture of the driven robot: `python tools/drive_film.py [BUNDLE]`.
+
+Robots on flat ground are told to walk backward, to the left, and to turn on the spot. It writes
+docs/figures/drive.webp.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+
+from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.rollout import FLAT_GROUND, Trial
+from renet.evaluation.video import film
+from renet.interface import CONTROL_DT
+
+OUT = Path(__file__).parents[1] / "docs" / "figures" / "drive.webp"
+COMMANDS = {
+    "told: back 0.6 m/s": (-0.6, 0.0, 0.0),
+    "told: left 0.4 m/s": (0.0, 0.4, 0.0),
+    "told: turn 1 rad/s": (0.0, 0.0, 1.0),
+}
+"""Velocities ahead and to the left, m/s, and turn rates, rad/s, by the titles of their robots."""
+SECONDS = 5.0
+FPS = 12.5
+"""Half of the film's pictures."""
+PICTURE_STEPS = 2
+"""Control steps from one picture of the film to the next."""
+
+
+def main() -> None:
+    """Drive, film, and write an animated WebP."""
+    evaluator = Evaluator(Path(sys.argv[1] if len(sys.argv) > 1 else "go1-driven"))
+    rows = range(len(COMMANDS))
+    env = evaluator.make_env(FLAT_GROUND, [0] * len(rows), speed=0.6, seed=0)
+    env.follow(np.array(list(COMMANDS.values())))
+    rollout = evaluator.rollout(env, [Trial("camera")] * len(rows), seed=0)
+    steps = round(SECONDS / CONTROL_DT)
+    trace = rollout.run(steps, "robots are driven", film=rows)
+    titles = dict(enumerate(COMMANDS))
+    with tempfile.TemporaryDirectory() as folder:
+        shown = range(0, steps, PICTURE_STEPS)
+        path = film(Path(folder) / "film.mp4", env.scene_spec, trace, titles, "", shown)
+        ffmpeg = shutil.which("ffmpeg") or imageio_ffmpeg.get_ffmpeg_exe()
+        smaller = ["-i", str(path), "-vf", f"fps={FPS},scale=840:-2"]
+        webp = ["-c:v", "libwebp_anim", "-quality", "40", "-loop", "0", str(OUT)]
+        subprocess.run([ffmpeg, "-v", "error", "-y", *smaller, *webp], check=True)
+    print(f"{OUT}: {OUT.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()
