@@ -10,7 +10,7 @@ from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundl
 from renet.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import calibrate, calibrate_memory
-from renet.evaluation.calibrate import CalibrateCfg, _store, run_calibrate
+from renet.evaluation.calibrate import CalibrateCfg, _monitor_thresholds, run_calibrate
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
@@ -89,28 +89,52 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     assert {"variance", "reconstruction"} & {*names} == {"variance"}
 
 
-def test_thresholds_below_zero_are_lifted_for_sparse_grass_too(tmp_path):
-    bundle = Bundle.load(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+def test_thresholds_below_zero_are_lifted_for_sparse_grass_too():
     scores = np.linspace(0.01, 0.02, 300)
     healthy = {name: [scores] for name in MONITORS} | {"uniformity": [scores - 0.22]}
     grassy = {"uniformity": [scores - 0.14]}
-    _store(CalibrateCfg(bundle.path), bundle, healthy, grassy, ({"map_error": 0.4}, 7.0))
-    selector = read_manifest(bundle.path).selector
-    assert selector.thresholds["uniformity"] == pytest.approx(-0.12, abs=1e-3)
-    # Healthy scores say nothing of a memory: its limits are measured apart.
-    assert (selector.thresholds["map_error"], selector.longest_memory) == (0.4, 7.0)
+    bundle = Bundle.load()
+    thresholds, _ = _monitor_thresholds(CalibrateCfg(bundle.path), bundle, healthy, grassy)
+    assert thresholds["uniformity"] == pytest.approx(-0.12, abs=1e-3)
 
 
-def test_grass_that_surprises_now_and_then_but_not_twice_in_a_row_lifts_no_threshold(tmp_path):
-    bundle = Bundle.load(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+def test_grass_that_surprises_now_and_then_but_not_twice_in_a_row_lifts_no_threshold():
     scores = np.linspace(0.01, 0.02, 300)
     healthy = {name: [scores] for name in MONITORS}
     peaks = np.where(np.arange(300) % 10 == 0, 0.03, 0.01)
     grassy = {"surprise": [peaks], "variance": [peaks]}
-    _store(CalibrateCfg(bundle.path), bundle, healthy, grassy, ({}, 7.0))
-    thresholds = read_manifest(bundle.path).selector.thresholds
+    bundle = Bundle.load()
+    thresholds, _ = _monitor_thresholds(CalibrateCfg(bundle.path), bundle, healthy, grassy)
     assert thresholds["surprise"] < 0.025
     assert thresholds["variance"] == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize(("lift", "expected"), [(1.5, 1.5), (0.5, 1.0)])
+def test_monitors_that_withhold_single_images_are_calibrated_with_them(
+    tmp_path, monkeypatch, lift, expected
+):
+    """Robots that withhold by the first thresholds have other scores; the higher ones count."""
+    bundle = Path(shutil.copytree(pretrained("go1-driven"), tmp_path / "bundle"))
+    scores = np.random.default_rng(0).exponential(0.02, 2000)
+    walks = []
+
+    def runs(cfg, evaluator, grass, mode="camera"):
+        walks.append((mode, grass, evaluator.thresholds.get("surprise")))
+        factor = lift if mode == "memory" else 1.0
+        return {name: [factor * scores] for name in MONITORS}
+
+    monkeypatch.setattr(calibrate, "_healthy_runs", runs)
+    monkeypatch.setattr(calibrate, "memory_limits", lambda *arguments: ({"map_error": 0.4}, 7.0))
+    shipped = read_manifest(bundle).selector.thresholds["surprise"]
+    run_calibrate(CalibrateCfg(bundle, sparse_grass=False))
+    selector = read_manifest(bundle).selector
+    first = walks[1][2]
+    assert walks == [("camera", False, shipped), ("memory", False, first)]
+    assert first != shipped
+    assert selector.thresholds["surprise"] == pytest.approx(expected * first)
+    # A monitor that objects to single images is calibrated on robots that see all of them.
+    assert selector.thresholds["variance"] == pytest.approx(2.0 * first, rel=0.3)
+    assert (selector.thresholds["map_error"], selector.longest_memory) == (0.4, 7.0)
 
 
 def test_calibration_walks_in_the_conditions_that_are_asked_for(tmp_path, monkeypatch):

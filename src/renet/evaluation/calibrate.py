@@ -111,7 +111,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
     if not cfg.log and not cfg.images:
-        return _store(cfg, *_simulated_scores(cfg))
+        return _calibrate_simulated(cfg)
     bundle = Bundle.load(cfg.bundle.absolute())
     if cfg.images:
         series = image_scores(cfg.images, cfg.scale, cfg.lens, bundle, cfg.rotate == 180)
@@ -121,22 +121,42 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     spec = bundle.manifest.selector
     names = {MEMORY} | (MONITORS.keys() - series.keys())
     unchanged = {name: limit for name, limit in spec.thresholds.items() if name in names}
-    return _store(cfg, bundle, series, {}, (unchanged, spec.longest_memory))
+    thresholds, hours = _monitor_thresholds(cfg, bundle, series, {})
+    return _store(cfg, bundle, series, thresholds, hours, (unchanged, spec.longest_memory))
 
 
-def _store(
-    cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series, memory: Memory
-) -> float:
-    """Compute thresholds and β, write them to the manifest, print them and return β.
+def _calibrate_simulated(cfg: CalibrateCfg) -> float:
+    """Calibrate on simulated robots; returns β."""
+    evaluator, series, grassy, memory = _simulated_scores(cfg)
+    bundle = evaluator.bundle
+    thresholds, hours = _monitor_thresholds(cfg, bundle, series, grassy)
+    single = [name for name in thresholds if MONITORS[name].in_a_row > 1]
+    if single:
+        # These monitors withhold single images, and what they say of the next one then rests on an
+        # older image. So their thresholds need robots that walk with them.
+        limits, longest = memory
+        selector = replace(
+            bundle.manifest.selector, thresholds=thresholds | limits, longest_memory=longest
+        )
+        evaluator.bundle = replace(bundle, manifest=replace(bundle.manifest, selector=selector))
+        withheld = _healthy_runs(cfg, evaluator, grass=False, mode="memory")
+        needed, _ = _monitor_thresholds(cfg, bundle, withheld, {})
+        for name in single:
+            thresholds[name] = max(thresholds[name], needed[name])
+    return _store(cfg, bundle, series, thresholds, hours, memory)
+
+
+def _monitor_thresholds(
+    cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series
+) -> tuple[dict[str, float], float]:
+    """Compute the monitors' thresholds, and the duration of the healthy runs, robot hours.
 
     Args:
         cfg: settings.
-        bundle: the bundle to write to.
+        bundle: the bundle whose monitors they are.
         series: healthy scores by monitor.
-        grassy: healthy scores in sparse grass by monitor; β does not depend on them.
-        memory: limits of memory.
+        grassy: healthy scores in sparse grass by monitor.
     """
-    limits, longest = memory
     # Healthy runs do not tell how long memory is good, and the variance may replace a monitor.
     without = {MEMORY}
     if cfg.sparse_grass and bundle.predicts_variance:
@@ -144,6 +164,28 @@ def _store(
     calibrated = {name: runs for name, runs in series.items() if name not in without}
     thresholds, hours = calibrate_monitors(calibrated, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
     _accept_grass(thresholds, grassy)
+    return thresholds, hours
+
+
+def _store(
+    cfg: CalibrateCfg,
+    bundle: Bundle,
+    series: Series,
+    thresholds: dict[str, float],
+    hours: float,
+    memory: Memory,
+) -> float:
+    """Compute β, write it and the thresholds to the manifest, print them and return β.
+
+    Args:
+        cfg: settings.
+        bundle: the bundle to write to.
+        series: healthy scores by monitor.
+        thresholds: the monitors' thresholds, by name.
+        hours: duration of the healthy runs, robot hours.
+        memory: limits of memory.
+    """
+    limits, longest = memory
     scores = np.concatenate(series["reconstruction"])
     beta = calibrate(scores, cfg.false_alarm)
     description = _description(cfg, len(scores))
@@ -197,8 +239,8 @@ def _description(cfg: CalibrateCfg, count: int) -> str:
     return f"{rule} of {count} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
 
 
-def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory]:
-    """Bundle, scores in successful episodes without and with grass, and limits of memory."""
+def _simulated_scores(cfg: CalibrateCfg) -> tuple[Evaluator, Series, Series, Memory]:
+    """Evaluator, scores in successful episodes without and with grass, and limits of memory."""
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 
@@ -221,13 +263,22 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Bundle, Series, Series, Memory
     memory: Memory = ({}, 0.0)
     if evaluator.bundle.manifest.selector.longest_memory:
         memory = memory_limits(evaluator, 3 * cfg.robots, cfg.levels, cfg.speed, cfg.seed)
-    return evaluator.bundle, series, grassy, memory
+    return evaluator, series, grassy, memory
 
 
-def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Series:
+def _healthy_runs(
+    cfg: CalibrateCfg,
+    evaluator: Evaluator,
+    grass: bool,
+    mode: Literal["camera", "memory"] = "camera",
+) -> Series:
     """Scores of every monitor in the successful episodes on all terrains, by name.
 
-    Robots walk in mode camera; with `grass`, all of them through sparse grass.
+    Args:
+        cfg: settings.
+        evaluator: evaluator of the bundle, in the conditions of the walks.
+        grass: True for robots that walk through sparse grass.
+        mode: mode of the robots.
     """
     from renet.evaluation.evaluator import Task
     from renet.tasks.parkour_env_cfg import parkour_env_cfg
@@ -236,7 +287,7 @@ def _healthy_runs(cfg: CalibrateCfg, evaluator: Evaluator, grass: bool) -> Serie
     robots = np.arange(cfg.robots)
     steps = round(cfg.seconds / CONTROL_DT)
     faults = (Injection.of("tall_grass", SPARSE_GRASS, onset=0),) if grass else ()
-    trials = [Trial("camera", faults, int(robot)) for robot in robots]
+    trials = [Trial(mode, faults, int(robot)) for robot in robots]
     series: Series = {name: [] for name in MONITORS}
     for terrain in cfg.terrains:
         on_tiles = terrain == PARKOUR
