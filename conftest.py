@@ -9,6 +9,9 @@ import pytest
 # Workers share the cores: OpenMP's threads must neither be many nor wait in a loop.
 os.environ |= {"OMP_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 
+# What is imported while tests are collected stays, and need not be looked through.
+gc.disable()
+
 # A shell's background jobs ignore SIGINT, and so would each program that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -22,6 +25,11 @@ def frozen_imports() -> None:
     if not gc.get_freeze_count():
         gc.collect()
         gc.freeze()
+
+
+def pytest_collection_finish() -> None:
+    """Tests leave garbage."""
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
