@@ -1,8 +1,10 @@
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from ..forked import Fork, forks
 from .files import FILES
 
 
@@ -19,3 +21,10 @@ def hostile(tmp_path_factory) -> Path:
         paths[title] = str(make(place) or place)
     (folder / "paths.json").write_text(json.dumps(paths))
     return folder
+
+
+@pytest.fixture(scope="session")
+def fork() -> Iterator[Fork]:
+    """Calls functions in processes that begin with all commands imported."""
+    with forks() as fork:
+        yield fork

@@ -19,7 +19,7 @@ from renet.cli import COMMANDS, main
 from renet.errors import RenetError
 from renet.page.writer import VENDOR
 
-from ..forked import fork
+from ..forked import Fork
 from .files import ticks
 
 MEMORY = 500_000
@@ -184,7 +184,9 @@ def remembered(trial: Callable[..., None], folder: Path) -> Callable[..., None]:
     return run
 
 
-def demand_no_harm(hostile: Path, name: str, option: str, variant: tuple[str, ...]) -> None:
+def demand_no_harm(
+    hostile: Path, fork: Fork, name: str, option: str, variant: tuple[str, ...]
+) -> None:
     """Hand over in another process, and look at what has become of the user's files."""
     before = snapshot(hostile / "files")
     done = fork(hand_over, name, option, variant, str(hostile))

@@ -17,8 +17,8 @@ OTHERS = [option for option in OPTIONS if not option[0].startswith("evaluate")]
 
 
 @pytest.mark.parametrize(("name", "option", "variant"), OTHERS, ids=str)
-def test_no_command_is_hurt_by_a_hostile_file(hostile, name, option, variant):
-    demand_no_harm(hostile, name, option, variant)
+def test_no_command_is_hurt_by_a_hostile_file(hostile, fork, name, option, variant):
+    demand_no_harm(hostile, fork, name, option, variant)
 
 
 def test_there_are_sixty_files_and_every_command_that_reads_is_tried():
