@@ -19,12 +19,17 @@ COMMANDS = {
 """Velocities ahead and to the left, m/s, and turn rates, rad/s."""
 
 
-def test_it_walks_back_and_sideways_and_turns(node_page: Path):
+@pytest.fixture(scope="module")
+def walks(node_page: Path) -> dict[str, dict]:
+    """How it walked, by command."""
     asked = [",".join(map(str, velocity)) for velocity in COMMANDS.values()]
     link = "?robot=go1&bundle=go1-driven&ground=flat&fault=none"
     walks = run_node("drive.mjs", WEB, node_page, link, "camera", *asked)
-    for (way, velocity), walk in zip(COMMANDS.items(), walks, strict=True):
-        assert not walk["fell"], way
-        walked = (walk["forward"], walk["left"], walk["turnRate"])
-        for component, wished in zip(walked, velocity, strict=True):
-            assert component == pytest.approx(wished, abs=0.2), way
+    return dict(zip(COMMANDS, walks, strict=True))
+
+
+@pytest.mark.parametrize("way", COMMANDS)
+def test_it_walks_back_and_sideways_and_turns(walks, way):
+    assert not walks[way]["fell"]
+    walked = [walks[way][component] for component in ("forward", "left", "turnRate")]
+    assert walked == pytest.approx(COMMANDS[way], abs=0.2)
