@@ -221,7 +221,7 @@ def test_a_hung_disk_neither_delays_a_step_nor_grows_the_queue_nor_hangs_the_end
     monkeypatch.setattr(recorder, "DISK_SECONDS", 0.1)
     log = Recorder(tmp_path / "a.mcap", {})
     robot, told = Standing(), []
-    controller = walk(bundle, robot, 100.0, log, on_step=lambda *step: told.append(log.problem))
+    controller = walk(bundle, robot, 40.0, log, on_step=lambda *step: told.append(log.problem))
     log.close()
     assert hang.reached.is_set()
     assert controller.machine.reason == "the run ends", "every step was made"
