@@ -15,7 +15,7 @@ pytestmark = pytest.mark.wall_clock
 
 
 def test_ground_lies_all_round_and_robots_that_fell_are_put_back(visit):
-    one = visit("?ground=gap&fault=none").load(WALKS)
+    one = visit("?ground=gap&fault=none").load().soon(WALKS)
     heights = one.ask(
         """Array.from({ length: 16 }, (_, n) => renetPage.page.view.terrain.heightAt(
           300 * Math.cos(n * Math.PI / 8), 300 * Math.sin(n * Math.PI / 8)))"""
@@ -27,13 +27,13 @@ def test_ground_lies_all_round_and_robots_that_fell_are_put_back(visit):
           world.data.qpos.set([0, 1, 0, 0], world.free + 3);
         } 0"""
     )
-    one.until("renetPage.page.now < 1 && !renetPage.page.resetDue")
+    one.soon("renetPage.page.now < 1 && !renetPage.page.resetDue")
     assert "back at the start" in one.its("notice")
 
 
 def test_a_go2_stands_up_and_a_visitor_changes_to_the_go1(visit):
     one = visit("?robot=go2&ground=flat&fault=none")
-    one.load("renetPage.page.simulations[0].walking")
+    one.load().soon(WALKS)
     masses = mujoco.MjModel.from_xml_path(str(GO2.mjcf)).body_mass
     assert one.its("simulations[0].world.model.body_mass.slice(1)") == pytest.approx(masses[1:])
     assert one.its("simulations[0].world.pose().position[2]") > 0.2

@@ -67,7 +67,7 @@ def told_soon(one: Visit, expected: str) -> None:
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_a_visitor_drives_all_round_by_keys(visit, size):
     """What reaches the policy is what was asked for."""
-    one = visit(DRIVEN, size).load(WALKS)
+    one = visit(DRIVEN, size).load().soon(WALKS)
     assert one.page.locator("#show").is_hidden()
     one.press("w", "ArrowUp")
     told_soon(one, "Math.abs(x - 0.8) < 1e-6 && y === 0")
@@ -95,7 +95,7 @@ def test_a_visitor_drives_all_round_by_keys(visit, size):
 
 
 def test_the_robot_goes_where_a_visitor_drives_it(visit):
-    one = visit(DRIVEN).load(WALKS)
+    one = visit(DRIVEN).load().soon(WALKS)
     walked = "renetPage.page.simulations[0].walked"
     for key, condition in (
         ("s", f"{walked}.forward < -0.3"),
@@ -109,14 +109,14 @@ def test_the_robot_goes_where_a_visitor_drives_it(visit):
         for _ in range(6 if key in "ws" else 0):
             one.press(key)
         one.page.keyboard.down(key)
-        one.until(condition)
+        one.soon(condition)
         one.page.keyboard.up(key)
     assert not one.its("simulations[0].fell")
 
 
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_a_visitor_drives_all_round_by_the_pad(visit, size):
-    one = visit(DRIVEN, size).load(WALKS)
+    one = visit(DRIVEN, size).load().soon(WALKS)
     mouse = one.page.mouse
     for stick, (across, along), condition in (
         ("#go", (0, -1), "Math.abs(x - 1) < 1e-6 && y === 0"),
@@ -149,7 +149,7 @@ def plug_in(one: Visit, mapping: str) -> None:
 
 
 def test_a_visitor_drives_all_round_by_a_gamepad(visit):
-    one = visit(DRIVEN).load(WALKS)
+    one = visit(DRIVEN).load().soon(WALKS)
     one.ask(GAMEPAD)
     plug_in(one, "")
     one.until("document.querySelector('#message').textContent.includes('does not know')")
@@ -184,7 +184,7 @@ def test_a_visitor_drives_all_round_by_a_gamepad(visit):
 
 
 def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
-    one = visit("?ground=flat&fault=none").load(WALKS)
+    one = visit("?ground=flat&fault=none").load().soon(WALKS)
     assert one.page.locator("#go i").filter(visible=True).all_text_contents() == ["▲"]
     assert "cannot walk backward" in one.page.text_content("#refusal")
     assert one.page.locator(".all-round").filter(visible=True).count() == 0

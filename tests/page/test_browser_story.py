@@ -8,6 +8,8 @@ from tests.page.visit import DESKTOP, NEWS, PARTS, PHONE
 
 pytestmark = pytest.mark.wall_clock
 
+VERDICT = "document.querySelector('#verdict').textContent"
+
 
 def test_a_link_tells_a_story_from_fault_to_outcome(visit, address):
     story = visit("?ground=gap&fault=gaussian&severity=5").load()
@@ -19,11 +21,11 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address):
         }; 0"""
     )
     assert "will fail (noise)" in story.page.text_content("#message")
-    story.until("renetPage.at > 0")
+    story.soon("renetPage.at > 0")
     edge = story.its("scene.ground.obstacle[0]")
     assert story.ask("renetPage.at") == pytest.approx(edge - 0.3, abs=0.05)
     assert story.its("simulations.map((one) => one.camera.fault.name)") == ["gaussian"] * 2
-    story.until("document.querySelector('#verdict').textContent")
+    story.soon(VERDICT)
 
     robots = story.its("simulations.map(({ fell, state, upright }) => ({ fell, state, upright }))")
     sentence = story.page.text_content("#verdict")
@@ -35,7 +37,7 @@ def test_a_link_tells_a_story_from_fault_to_outcome(visit, address):
         assert robot["fell"] or robot["upright"] > 0.5
     assert robots[1]["state"] != "sees", "renet noticed"
     assert ("from memory" in parts[1]) == (not robots[1]["fell"])
-    story.until("renetPage.page.now < 1")  # The show is played again.
+    story.soon("renetPage.page.now < 1")  # The show is played again.
     assert story.its("pending")
     assert all(url.startswith((address, "blob:", "data:")) for url in story.requests)
 
@@ -45,7 +47,7 @@ def test_every_opening_shows_the_difference(visit, robot):
     """The show plays again by itself, with new noise."""
     one = visit(f"?robot={robot}").load()
     for _ in range(2):
-        one.until("document.querySelector('#verdict').textContent")
+        one.soon(VERDICT)
         fell, crossed = one.page.text_content("#verdict").split(". ")
         assert fell.startswith("Switch fell")
         assert fell.endswith("after its camera broke")
@@ -57,7 +59,7 @@ def test_every_opening_shows_the_difference(visit, robot):
         colours = one.ask("Array.from(renetPage.page.view.robots[1].map.instanceColor.array)")
         dots = 255 * np.reshape(colours, (-1, 3))
         assert (np.abs(dots - rgb(UNSEEN_COLOUR)).max(axis=1) < 1).mean() > 0.5
-        one.until("!document.querySelector('#verdict').textContent")
+        one.soon(f"!{VERDICT}")
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -82,7 +84,7 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
     one.demand_order((*PARTS, *NEWS))
     one.tap(noise)
     one.ask("delete renetPage.page.pace")
-    one.until("document.querySelector('#verdict').textContent")
+    one.soon(VERDICT)
     one.demand_order((*PARTS, *NEWS))
     assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
     assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")

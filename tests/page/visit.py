@@ -32,6 +32,12 @@ BOXES = """parts => {
   return boxes;
 }"""
 """Function of the page: places of the visible elements of each selector, px."""
+QUICK = """{ const { page } = renetPage;
+  const { get } = Object.getOwnPropertyDescriptor(Object.getPrototypeOf(page), "pace");
+  Object.defineProperty(page, "pace", {
+    configurable: true, get: () => (%s ? 1 : 4) * get.call(page),
+  }); } 0"""
+"""Lets time pass four times as quickly until a condition holds."""
 WALKS = "renetPage.stats.ready && renetPage.page.simulations[0].walking"
 """Condition that holds once the robots walk."""
 
@@ -50,6 +56,13 @@ class Visit:
 
     def until(self, condition: str) -> None:
         self.page.wait_for_function(condition, polling=100)
+
+    def soon(self, condition: str) -> "Visit":
+        """Wait until a condition of the simulation holds, in less than its time."""
+        self.ask(QUICK % condition)
+        self.until(condition)
+        self.ask("delete renetPage.page.pace")
+        return self
 
     def ask(self, expression: str):
         return self.page.evaluate(expression)
