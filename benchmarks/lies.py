@@ -30,7 +30,7 @@ from renet.interface import CONTROL_DT, TICK_DT
 from renet.selector.calibration import decluster, lowest_in_a_row
 from renet.selector.monitors import MONITORS
 from renet.tasks.parkour_env_cfg import parkour_env_cfg
-from renet.terrain.tiles import tiles
+from renet.terrain.tiles import LEVELS, tiles
 
 SURPRISE = "surprise"
 LIES = (
@@ -131,7 +131,7 @@ def walk_healthy(bundle: Path, cfg: Cfg) -> list[np.ndarray]:
     robots = np.arange(cfg.healthy_robots)
     env = evaluator.make_env(task, range(cfg.healthy_robots), cfg.speed, cfg.seed)
     kinds = len(tiles())
-    env.place(robots // kinds % cfg.level, robots % kinds)
+    env.place(robots // kinds % LEVELS, robots % kinds)
     trials = [Trial("memory", (), int(robot)) for robot in robots]
     rollout = evaluator.rollout(env, trials, cfg.seed)
     rollout.on_update = log = MonitorLog(cfg.healthy_robots)

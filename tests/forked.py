@@ -45,9 +45,11 @@ def forks() -> Iterator[Fork]:
         ours.send(call)
         return ours.recv()
 
-    yield lambda work, *arguments: _completed(run, work, arguments)
-    ours.close()
-    server.join()
+    try:
+        yield lambda work, *arguments: _completed(run, work, arguments)
+    finally:
+        ours.close()
+        server.join()
 
 
 def _completed(

@@ -50,13 +50,15 @@ def test_it_is_known_by_name(name, tmp_path, monkeypatch, capsys):
         assert "go2-parkour" in (tmp_path / "out" / FILES.get(name, "summary.json")).read_text()
 
 
-def test_a_copy_is_calibrated_and_the_one_that_ships_stays(tmp_path, monkeypatch):
+def test_a_copy_is_calibrated_and_the_one_that_ships_stays(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(calibrate_memory, "BLACKOUT_RANGE", (0.1, 0.2))
     monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
     command = ["--robots", "2", "--seconds", "2", "--terrains", "flat", "--no-sparse-grass"]
     before = read_manifest(pretrained("go2-parkour"))
-    assert cli.main(["calibrate", "go2-parkour", *command]) == 2
+    for shipped in ("go2-parkour", str(pretrained("go2-parkour"))):
+        assert cli.main(["calibrate", shipped, *command]) == 2
+        assert "keeps its thresholds: calibrate a copy" in capsys.readouterr().err
     shutil.copytree(pretrained("go2-parkour"), "go2-parkour")
     assert cli.main(["calibrate", "go2-parkour", *command]) == 0
     assert read_manifest(tmp_path / "go2-parkour").selector.healthy_hours < 0.01

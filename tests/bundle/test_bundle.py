@@ -154,7 +154,19 @@ def test_the_shipped_bundle_is_the_one_its_results_name():
     named = [json.loads(path.read_text())["provenance"].get("bundle_hash") for path in results]
     assert {*named} - {None} == {Bundle.load().sha256}  # Those of version 1 have another form.
     page = Path(__file__).parents[2] / "docs" / "results.md"
-    assert f"bundle {Bundle.load().sha256[:12]} is the one that ships" in page.read_text()
+    assert f"`go1-parkour`, bundle {Bundle.load().sha256[:12]}" in page.read_text()
+
+
+def test_the_results_of_the_driven_robot_are_those_of_the_bundle_that_ships():
+    folder = Path(__file__).parents[2] / "benchmarks" / "results" / "driving"
+    hashes = {"go1-driven": set(), "go1-parkour": set()}
+    for path in folder.glob("*.json"):
+        result = json.loads(path.read_text())
+        if "bundle_sha256" in result:
+            hashes[result["bundle"]].add(result["bundle_sha256"])
+        else:
+            hashes[result["provenance"]["bundle"]].add(result["provenance"]["bundle_hash"])
+    assert hashes == {name: {Bundle.load(name).sha256} for name in hashes}
 
 
 def test_a_bundle_of_schema_1_loads_and_has_no_memory(bundle_path, tmp_path, networks, manifest):

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from renet.bundle import SHIPPED, pretrained, read_manifest
-from renet.bundle.inspect import FIELD_UNITS, InspectCfg, field_rows, inspect
+from renet.bundle.inspect import FIELD_UNITS, InspectCfg, field_rows, input_rows, inspect
 
 
 def test_every_field_has_a_line_and_every_unit_a_field():
@@ -33,3 +33,10 @@ def test_nothing_is_printed_as_python_writes_it(name, capsys):
     told = capsys.readouterr().out
     for words in ("Spec(", "{'", "=None", "float64"):
         assert words not in told
+
+
+def test_the_command_is_named_as_the_policy_is_told_it():
+    for name, last in (("go1-parkour", "cos(c_yaw - yaw)"), ("go1-driven", "omega_z")):
+        rows = input_rows(read_manifest(pretrained(name)))
+        assert [row[0] for row in rows] == list(range(45))
+        assert rows[8][1] == f"command {last}"

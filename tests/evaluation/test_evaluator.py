@@ -10,7 +10,7 @@ from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundl
 from renet.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import calibrate, calibrate_memory
-from renet.evaluation.calibrate import CalibrateCfg, _monitor_thresholds, run_calibrate
+from renet.evaluation.calibrate import CalibrateCfg, _calibrate_monitors, run_calibrate
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
@@ -94,7 +94,8 @@ def test_thresholds_below_zero_are_lifted_for_sparse_grass_too():
     healthy = {name: [scores] for name in MONITORS} | {"uniformity": [scores - 0.22]}
     grassy = {"uniformity": [scores - 0.14]}
     bundle = Bundle.load()
-    thresholds, _ = _monitor_thresholds(CalibrateCfg(bundle.path), bundle, healthy, grassy)
+    cfg = CalibrateCfg(bundle.path)
+    thresholds = _calibrate_monitors(cfg, bundle, healthy, grassy).thresholds
     assert thresholds["uniformity"] == pytest.approx(-0.12, abs=1e-3)
 
 
@@ -104,7 +105,8 @@ def test_grass_that_surprises_now_and_then_but_not_twice_in_a_row_lifts_no_thres
     peaks = np.where(np.arange(300) % 10 == 0, 0.03, 0.01)
     grassy = {"surprise": [peaks], "variance": [peaks]}
     bundle = Bundle.load()
-    thresholds, _ = _monitor_thresholds(CalibrateCfg(bundle.path), bundle, healthy, grassy)
+    cfg = CalibrateCfg(bundle.path)
+    thresholds = _calibrate_monitors(cfg, bundle, healthy, grassy).thresholds
     assert thresholds["surprise"] < 0.025
     assert thresholds["variance"] == pytest.approx(0.03)
 

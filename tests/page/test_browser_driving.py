@@ -1,6 +1,5 @@
 """The page in a real browser: it obeys keys, sticks, gamepads and the mouse."""
 
-
 import numpy as np
 import pytest
 

@@ -39,7 +39,7 @@ def test_the_level_of_a_pareto_tail_far_beyond_all_scores_is_its_quantile(shape:
 def test_a_monitor_that_needs_two_in_a_row_is_calibrated_by_the_lower_of_two() -> None:
     """One of these scores exceeds x with probability exp(-x), two in a row with exp(-2 x)."""
     runs = hours(20)
-    thresholds, _ = calibrate_monitors({"variance": runs, "surprise": runs}, 1.0)
+    thresholds = calibrate_monitors({"variance": runs, "surprise": runs}, 1.0).thresholds
     assert thresholds["surprise"] == pytest.approx(0.5 * thresholds["variance"], rel=0.15)
 
 
@@ -54,31 +54,33 @@ def test_bursts_that_all_peak_alike_have_a_level_and_a_bounded_tail_stays_near_i
 def test_a_blank_image_is_never_healthy() -> None:
     noses = [-0.04 * run.clip(max=1.0) for run in hours(0.5)]
     covered = [run.clip(max=1.0) for run in hours(0.5)]
-    thresholds, _ = calibrate_monitors({"uniformity": noses, "nearness": covered})
+    thresholds = calibrate_monitors({"uniformity": noses, "nearness": covered}).thresholds
     assert thresholds == {name: MONITORS[name].ceiling for name in ("uniformity", "nearness")}
 
 
 def test_calibrated_monitors_keep_the_stated_rate_on_new_robots() -> None:
     runs = {"reconstruction": hours(3.0), "disagreement": hours(3.0, 1)}
-    thresholds, robot_hours = calibrate_monitors(runs, 1.0)
+    thresholds, robot_hours, _ = calibrate_monitors(runs, 1.0)
     assert robot_hours == pytest.approx(3.0)
     new = {"reconstruction": hours(40.0, 2), "disagreement": hours(40.0, 3)}
     alarms = [decluster(run, thresholds[name]) for name, runs in new.items() for run in runs]
     assert sum(map(len, alarms)) / 40.0 <= 1.0
 
 
-def with_a_burst(runs: list[np.ndarray], height: float) -> list[np.ndarray]:
-    """The same runs, and one with a burst far above them."""
-    burst = np.zeros(300)
-    burst[100:105] = height
-    return [*runs, burst]
+def with_bursts(runs: list[np.ndarray], height: float, count: int = 1) -> list[np.ndarray]:
+    """The same runs, and one with bursts far above them, 3 s apart."""
+    odd = np.zeros(50 + 30 * count)
+    for burst in range(count):
+        odd[20 + 30 * burst : 25 + 30 * burst] = height
+    return [*runs, odd]
 
 
 def test_one_walk_of_many_hours_sets_no_threshold() -> None:
     runs = {"variance": hours(4.0), "disagreement": hours(4.0, 1)}
-    usual, _ = calibrate_monitors(runs)
-    odd = {name: with_a_burst(of, 100.0) for name, of in runs.items()}
-    thresholds, robot_hours = calibrate_monitors(odd)
+    usual = calibrate_monitors(runs).thresholds
+    odd = {name: with_bursts(of, 100.0) for name, of in runs.items()}
+    thresholds, robot_hours, left_out = calibrate_monitors(odd)
+    assert left_out == 1
     for name, threshold in thresholds.items():
         assert usual[name] < threshold < 1.1 * usual[name], "what remains of the rate is less"
     new = {"variance": hours(40.0, 2), "disagreement": hours(40.0, 3)}
@@ -86,33 +88,47 @@ def test_one_walk_of_many_hours_sets_no_threshold() -> None:
     assert 1 / robot_hours + sum(map(len, alarms)) / 40.0 <= 0.5
 
 
-@pytest.mark.parametrize(("healthy", "bursts"), [(3.0, 1), (4.0, 2)])
-def test_bursts_that_come_as_often_as_false_alarms_may_are_not_left_out(healthy, bursts) -> None:
+@pytest.mark.parametrize(
+    ("healthy", "odd_runs", "bursts"),
+    [(3.0, 1, 1), (4.0, 2, 1), (4.0, 1, 2), (20.0, 1, 12)],
+    ids=["too short", "two walks", "two alarms in a walk", "twelve in a long calibration"],
+)
+def test_walks_with_more_alarms_than_are_allowed_are_not_left_out(
+    healthy: float, odd_runs: int, bursts: int
+) -> None:
     runs = hours(healthy)
-    for _ in range(bursts):
-        runs = with_a_burst(runs, 100.0)
-    thresholds, _ = calibrate_monitors({"variance": runs})
-    assert thresholds["variance"] > 100.0
+    for _ in range(odd_runs):
+        runs = with_bursts(runs, 100.0, bursts)
+    calibration = calibrate_monitors({"variance": runs})
+    assert calibration.thresholds["variance"] > 100.0
+
+
+def test_a_single_long_run_is_not_left_out() -> None:
+    runs = hours(5.0, runs=1)
+    calibration = calibrate_monitors({"variance": runs})
+    assert calibration.left_out == 0
+    assert calibration.thresholds["variance"] > np.max(runs)
 
 
 def test_no_walk_is_left_out_without_need() -> None:
     """Forty walks that are all alike: without one of them the highest score is the same."""
     runs = hours(0.1, runs=1) * 40
-    thresholds, robot_hours = calibrate_monitors({"variance": runs})
+    thresholds, robot_hours, left_out = calibrate_monitors({"variance": runs})
+    assert left_out == 0
     assert thresholds["variance"] == return_level(runs, 0.5 * robot_hours)
 
 
 def test_what_never_varies_gets_its_floor_or_nothing() -> None:
     still = [np.full(100, 0.1), np.full(50, 0.1)]
-    thresholds, _ = calibrate_monitors(
+    thresholds = calibrate_monitors(
         {"reconstruction": hours(0.1), "invalid_fraction": still, "disagreement": still}
-    )
+    ).thresholds
     assert thresholds["invalid_fraction"] == MONITORS["invalid_fraction"].floor
     assert "disagreement" not in thresholds
-    holes, _ = calibrate_monitors({"invalid_fraction": [np.full(100, 0.4)]})
+    holes = calibrate_monitors({"invalid_fraction": [np.full(100, 0.4)]}).thresholds
     assert 0.4 < holes["invalid_fraction"] < 0.401, "what was healthy must not object"
     real = [0.3 + 0.01 * run for run in hours(0.1)]
-    raised, _ = calibrate_monitors({"invalid_fraction": real})
+    raised = calibrate_monitors({"invalid_fraction": real}).thresholds
     assert raised["invalid_fraction"] > np.max(real)
 
 
@@ -136,8 +152,8 @@ def test_a_calibrated_level_is_above_all_it_was_learnt_from(scores, expected) ->
 @settings(max_examples=25)
 def test_fewer_false_alarms_never_lower_a_threshold(lower, factor) -> None:
     runs = {"reconstruction": hours(0.2)}
-    strict, _ = calibrate_monitors(runs, lower)
-    loose, _ = calibrate_monitors(runs, lower * factor)
+    strict = calibrate_monitors(runs, lower).thresholds
+    loose = calibrate_monitors(runs, lower * factor).thresholds
     assert strict["reconstruction"] >= loose["reconstruction"]
 
 
@@ -189,8 +205,8 @@ def test_a_tail_heavier_than_an_exponential_one_is_taken_as_exponential() -> Non
 
 def test_the_rate_of_false_alarms_is_shared_between_monitors() -> None:
     first, second = hours(0.3), hours(0.3, 1)
-    both, _ = calibrate_monitors({"reconstruction": first, "disagreement": second}, 1.0)
-    alone, _ = calibrate_monitors({"reconstruction": first}, 0.5)
+    both = calibrate_monitors({"reconstruction": first, "disagreement": second}, 1.0).thresholds
+    alone = calibrate_monitors({"reconstruction": first}, 0.5).thresholds
     assert both["reconstruction"] == alone["reconstruction"]
 
 

@@ -165,7 +165,8 @@ def _instead(name: str) -> str:
     """Return what to give in place of a name that is no bundle's."""
     nearest = get_close_matches(name, SHIPPED, cutoff=0.7)
     if nearest:
-        return f"did you mean {' or '.join(nearest)}, which ship with renet?"
+        verb = "ships" if len(nearest) == 1 else "ship"
+        return f"did you mean {' or '.join(nearest)}, which {verb} with renet?"
     choices = f"give a folder made by `renet export`, or {' or '.join(SHIPPED)}, which ship"
     if re.fullmatch(REPOSITORY, name):
         choices += f"; a bundle on the Hugging Face Hub is hf://{name}"

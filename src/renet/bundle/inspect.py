@@ -8,15 +8,21 @@ import tyro
 from renet.bundle import Bundle
 from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec
 from renet.bundle.models import MODELS
+from renet.interface import Told
 from renet.selector.selector import SelectorSpec
 from renet.terminal import show
 
 ELEMENTS = {
     "base_angular_velocity": ("x", "y", "z"),
     "projected_gravity": ("x", "y", "z"),
-    "command": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)"),
 }
-"""Names of the numbers of a term. Every other term has one number for each joint."""
+"""Names of the numbers of a term. The command's are `COMMAND`; every other term has one number for
+each joint."""
+COMMAND: dict[Told, tuple[str, ...]] = {
+    "heading": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)"),
+    "twist": ("v_x", "v_y", "omega_z"),
+}
+"""Names of the command's numbers, by its form."""
 
 FIELD_UNITS = {
     "steps": "of all robots together",
@@ -109,7 +115,8 @@ def joint_rows(robot: RobotSpec) -> list[tuple[int | str, ...]]:
 def input_rows(manifest: Manifest) -> list[tuple[int | str, ...]]:
     """Return index, name, unit and scale of every number of the proprioception o_t."""
     rows = []
+    elements = ELEMENTS | {"command": COMMAND[manifest.told]}
     for term in manifest.proprioception:
-        for element in ELEMENTS.get(term.name, manifest.robot.joints):
+        for element in elements.get(term.name, manifest.robot.joints):
             rows.append((len(rows), f"{term.name} {element}", term.unit, f"{term.scale:g}"))
     return rows

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import tyro
 
-from renet.bundle import Bundle, write_manifest
+from renet.bundle import SHIPPED, Bundle, pretrained, write_manifest
 from renet.deploy.recording.calibration_images import image_scores
 from renet.deploy.recording.calibration_log import recorded_scores
 from renet.errors import RenetError
@@ -30,7 +30,12 @@ from renet.evaluation.rollout import (
 )
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, TICK_DT, Engine
-from renet.selector.calibration import calibrate, calibrate_monitors, lowest_in_a_row
+from renet.selector.calibration import (
+    Calibration,
+    calibrate,
+    calibrate_monitors,
+    lowest_in_a_row,
+)
 from renet.selector.monitors import MONITORS
 from renet.terminal import show
 
@@ -110,6 +115,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     """
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
+    _demand_own(cfg.bundle)
     if not cfg.log and not cfg.images:
         return _calibrate_simulated(cfg)
     bundle = Bundle.load(cfg.bundle.absolute())
@@ -121,35 +127,47 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     spec = bundle.manifest.selector
     names = {MEMORY} | (MONITORS.keys() - series.keys())
     unchanged = {name: limit for name, limit in spec.thresholds.items() if name in names}
-    thresholds, hours = _monitor_thresholds(cfg, bundle, series, {})
-    return _store(cfg, bundle, series, thresholds, hours, (unchanged, spec.longest_memory))
+    calibration = _calibrate_monitors(cfg, bundle, series, {})
+    return _store(cfg, bundle, series, calibration, (unchanged, spec.longest_memory))
+
+
+def _demand_own(bundle: Path) -> None:
+    """Raise RenetError for a bundle that ships, by its name or its folder."""
+    for name in SHIPPED:
+        by_name = str(bundle) == name and not bundle.exists()
+        if by_name or bundle.resolve() == pretrained(name).resolve():
+            raise RenetError(
+                f"{bundle} ships with renet and keeps its thresholds: calibrate a copy, "
+                f"cp -r {pretrained(name)} my-bundle"
+            )
 
 
 def _calibrate_simulated(cfg: CalibrateCfg) -> float:
     """Calibrate on simulated robots; returns β."""
     evaluator, series, grassy, memory = _simulated_scores(cfg)
     bundle = evaluator.bundle
-    thresholds, hours = _monitor_thresholds(cfg, bundle, series, grassy)
-    single = [name for name in thresholds if MONITORS[name].in_a_row > 1]
-    if single:
-        # These monitors withhold single images, and what they say of the next one then rests on an
-        # older image. So their thresholds need robots that walk with them.
+    calibration = _calibrate_monitors(cfg, bundle, series, grassy)
+    thresholds = calibration.thresholds
+    patient = [name for name in thresholds if MONITORS[name].in_a_row > 1]
+    if patient:
+        # These monitors withhold an image before they have an alarm, and what they say of the next
+        # one then rests on an older image. So their thresholds need robots that walk with them.
         limits, longest = memory
         selector = replace(
             bundle.manifest.selector, thresholds=thresholds | limits, longest_memory=longest
         )
         evaluator.bundle = replace(bundle, manifest=replace(bundle.manifest, selector=selector))
         withheld = _healthy_runs(cfg, evaluator, grass=False, mode="memory")
-        needed, _ = _monitor_thresholds(cfg, bundle, withheld, {})
-        for name in single:
+        needed = _calibrate_monitors(cfg, bundle, withheld, {}).thresholds
+        for name in patient:
             thresholds[name] = max(thresholds[name], needed[name])
-    return _store(cfg, bundle, series, thresholds, hours, memory)
+    return _store(cfg, bundle, series, calibration, memory)
 
 
-def _monitor_thresholds(
+def _calibrate_monitors(
     cfg: CalibrateCfg, bundle: Bundle, series: Series, grassy: Series
-) -> tuple[dict[str, float], float]:
-    """Compute the monitors' thresholds, and the duration of the healthy runs, robot hours.
+) -> Calibration:
+    """Compute the monitors' thresholds.
 
     Args:
         cfg: settings.
@@ -162,17 +180,16 @@ def _monitor_thresholds(
     if cfg.sparse_grass and bundle.predicts_variance:
         without.add("reconstruction")
     calibrated = {name: runs for name, runs in series.items() if name not in without}
-    thresholds, hours = calibrate_monitors(calibrated, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
-    _accept_grass(thresholds, grassy)
-    return thresholds, hours
+    calibration = calibrate_monitors(calibrated, cfg.false_alarms_per_hour, 1.0 / TICK_DT)
+    _accept_grass(calibration.thresholds, grassy)
+    return calibration
 
 
 def _store(
     cfg: CalibrateCfg,
     bundle: Bundle,
     series: Series,
-    thresholds: dict[str, float],
-    hours: float,
+    calibration: Calibration,
     memory: Memory,
 ) -> float:
     """Compute β, write it and the thresholds to the manifest, print them and return β.
@@ -181,8 +198,7 @@ def _store(
         cfg: settings.
         bundle: the bundle to write to.
         series: healthy scores by monitor.
-        thresholds: the monitors' thresholds, by name.
-        hours: duration of the healthy runs, robot hours.
+        calibration: the monitors' thresholds, and what they rest on.
         memory: limits of memory.
     """
     limits, longest = memory
@@ -193,10 +209,10 @@ def _store(
         bundle.manifest.selector,
         beta=beta,
         calibration=description,
-        thresholds=thresholds | limits,
+        thresholds=calibration.thresholds | limits,
         longest_memory=longest,
         false_alarms_per_hour=cfg.false_alarms_per_hour,
-        healthy_hours=hours,
+        healthy_hours=calibration.hours,
     )
     write_manifest(bundle.path, replace(bundle.manifest, selector=selector))
     print(f"beta {beta:.6g} ({description}) written to {bundle.path}")
@@ -204,9 +220,11 @@ def _store(
         limit = f"expects an error of {limits[MEMORY]:.2g} m or " if MEMORY in limits else ""
         print(f"VP drives from memory until it {limit}has had no image for {longest:.3g} s")
     rate = f"{cfg.false_alarms_per_hour:g} false alarms per hour"
-    title = f"Thresholds for {rate}, from {hours:.2f} healthy robot hours"
+    title = f"Thresholds for {rate}, from {calibration.hours:.2f} healthy robot hours"
+    if calibration.left_out:
+        title += f", odd walks left out: {calibration.left_out}"
     rows = []
-    for name, value in thresholds.items():
+    for name, value in calibration.thresholds.items():
         rows.append((name, f"{value:.4g}"))
     show(title, ("monitor", "threshold"), rows)
     return beta
@@ -234,7 +252,7 @@ def _description(cfg: CalibrateCfg, count: int) -> str:
     elif cfg.log:
         source = f"{len(cfg.log)} recording(s)"
     else:
-        source = f"successful episodes, seed {cfg.seed}"
+        source = f"successful episodes, {cfg.conditions} conditions, seed {cfg.seed}"
     rule = f"false alarm {cfg.false_alarm}" if cfg.false_alarm else "maximum"
     return f"{rule} of {count} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
 
@@ -253,7 +271,6 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Evaluator, Series, Series, Mem
     if not cfg.terrains or not {*cfg.terrains} <= {FLAT_GROUND, PARKOUR}:
         raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT_GROUND}, {PARKOUR}")
     check_speed(cfg.speed)
-    # An absolute path is never the name of a bundle that comes with renet, which is read-only.
     evaluator = Evaluator(cfg.bundle.absolute(), cfg.engine, cfg.conditions)
     series = _healthy_runs(cfg, evaluator, grass=False)
     if not series["reconstruction"]:

@@ -307,7 +307,7 @@ class SimEnv:
         if not isinstance(command, DriveCommand):
             raise RenetError(
                 "the bundle's policy is told a speed and a heading: it cannot be asked to walk"
-                " backward or sideways; train one with this version of renet"
+                " backward or sideways; take --bundle go1-driven, or train one"
             )
         command.fixed_twist = torch.as_tensor(twists, dtype=torch.float32)
 
