@@ -160,7 +160,7 @@ def _calibrate_simulated(cfg: CalibrateCfg) -> float:
         withheld = _healthy_runs(cfg, evaluator, grass=False, mode="memory")
         needed = _calibrate_monitors(cfg, bundle, withheld, {}).thresholds
         for name in patient:
-            thresholds[name] = max(thresholds[name], needed[name])
+            thresholds[name] = max(thresholds[name], needed.get(name, -math.inf))
     return _store(cfg, bundle, series, calibration, memory)
 
 
