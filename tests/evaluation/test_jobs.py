@@ -8,7 +8,9 @@ import shutil
 import signal
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,13 @@ TOLD = r"parts [0-5]/5  [a-e]  [0-3]/3  [0-9-]+:[0-9-]{2}:[0-9-]{2} left"
 """Line of progress in a file."""
 
 
+@pytest.fixture
+def started() -> Callable[[], set[BaseProcess]]:
+    """Processes that the test has started, and that have not ended."""
+    others = {*multiprocessing.active_children()}
+    return lambda: {*multiprocessing.active_children()} - others
+
+
 def results(folder: Path) -> dict:
     """A summary without date and command."""
     summary = json.loads((folder / "summary.json").read_text())
@@ -39,7 +48,7 @@ def made(folder: Path) -> dict[str, dict]:
 
 
 def test_jobs_share_parts_and_processors_and_write_what_one_run_writes(
-    tmp_path, capsys, monkeypatch
+    tmp_path, capsys, monkeypatch, started
 ):
     one, two = (CountingStudy(tmp_path / name, jobs=n) for name, n in (("one", 1), ("two", 2)))
     one.main()
@@ -60,7 +69,7 @@ def test_jobs_share_parts_and_processors_and_write_what_one_run_writes(
     assert lines
     two.main()
     assert made(tmp_path / "two") == parts, "what had finished was made again"
-    assert not multiprocessing.active_children()
+    assert not started()
 
 
 def test_shards_whose_parts_are_put_together_write_what_one_run_writes(tmp_path, capsys):
@@ -91,18 +100,18 @@ def test_shards_whose_parts_are_put_together_write_what_one_run_writes(tmp_path,
     ],
 )
 def test_an_error_in_one_part_ends_all_jobs_and_keeps_the_other_parts(
-    tmp_path, fate, error, message
+    tmp_path, started, fate, error, message
 ):
     study = CountingStudy(tmp_path, letters="ab", fate=fate, jobs=2)
     with pytest.raises(error, match=message):
         study.run()
-    assert not multiprocessing.active_children()
+    assert not started()
     assert not (tmp_path / "summary.json").exists()
     assert len(replace(study, fate="").run()["runs"]) == 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_ends_all_jobs_in_one_line(tmp_path, monkeypatch, capfd, number):
+def test_ctrl_c_ends_all_jobs_in_one_line(tmp_path, monkeypatch, capfd, started, number):
     command = cli.Command("", f"{CountingStudy.__module__}:CountingStudy:CountingStudy.main")
     command = replace(command, resume=cli.KEPT)
     monkeypatch.setitem(cli.COMMANDS, "evaluate counting", command)
@@ -110,7 +119,7 @@ def test_ctrl_c_ends_all_jobs_in_one_line(tmp_path, monkeypatch, capfd, number):
     def interrupt() -> None:
         while not (tmp_path / "begun").exists():
             time.sleep(0.05)
-        children = [child.pid or 0 for child in multiprocessing.active_children()]
+        children = [child.pid or 0 for child in started()]
         # A terminal sends it to all of them.
         for process in (children if number == signal.SIGINT else []) + [os.getpid()]:
             os.kill(process, number)
@@ -125,7 +134,7 @@ def test_ctrl_c_ends_all_jobs_in_one_line(tmp_path, monkeypatch, capfd, number):
         for n, handler in zip((signal.SIGINT, signal.SIGTERM), before, strict=True):
             signal.signal(n, handler)
     thread.join()
-    assert not multiprocessing.active_children()
+    assert not started()
     said = capfd.readouterr().err
     assert said.splitlines()[-1] == f"renet: interrupted: {cli.KEPT}"
     assert "Traceback" not in said

@@ -6,6 +6,7 @@ Calibration from recordings imports the runtime only, no simulator.
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -134,12 +135,20 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
 def _demand_own(bundle: Path) -> None:
     """Raise RenetError for a bundle that ships, by its name or its folder."""
     for name in SHIPPED:
-        by_name = str(bundle) == name and not bundle.exists()
-        if by_name or bundle.resolve() == pretrained(name).resolve():
+        by_name = str(bundle) == name and not os.path.lexists(bundle)
+        if by_name or _is_folder(bundle, pretrained(name)):
             raise RenetError(
                 f"{bundle} ships with renet and keeps its thresholds: calibrate a copy, "
                 f"cp -r {pretrained(name)} my-bundle"
             )
+
+
+def _is_folder(path: Path, folder: Path) -> bool:
+    """Return True if a path, which may be none at all, leads to a folder."""
+    try:
+        return path.samefile(folder)
+    except (OSError, ValueError):
+        return False
 
 
 def _calibrate_simulated(cfg: CalibrateCfg) -> float:
