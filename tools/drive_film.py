@@ -6,15 +6,13 @@ docs/figures/drive.webp.
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 
+from animated_webp import write_webp
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import FLAT_GROUND, Trial
 from renet.evaluation.video import film
@@ -28,8 +26,6 @@ COMMANDS = {
 }
 """Velocities ahead and to the left, m/s, and turn rates, rad/s, by the titles of their robots."""
 SECONDS = 5.0
-FPS = 12.5
-"""Half of the film's pictures."""
 PICTURE_STEPS = 2
 """Control steps from one picture of the film to the next."""
 
@@ -47,11 +43,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         shown = range(0, steps, PICTURE_STEPS)
         path = film(Path(folder) / "film.mp4", env.scene_spec, trace, titles, "", shown)
-        ffmpeg = shutil.which("ffmpeg") or imageio_ffmpeg.get_ffmpeg_exe()
-        smaller = ["-i", str(path), "-vf", f"fps={FPS},scale=840:-2"]
-        webp = ["-c:v", "libwebp_anim", "-quality", "40", "-loop", "0", str(OUT)]
-        subprocess.run([ffmpeg, "-v", "error", "-y", *smaller, *webp], check=True)
-    print(f"{OUT}: {OUT.stat().st_size / 1e6:.2f} MB")
+        write_webp(path, OUT, quality=40, width=840)
 
 
 if __name__ == "__main__":
