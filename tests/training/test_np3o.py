@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from renet.errors import RenetError
 from renet.models.actor_critic import Actor, Critics
 from renet.models.config import ModelCfg
 from renet.models.symmetry import Mirror
@@ -183,6 +184,24 @@ def test_entropy_divergence_and_budgets_follow_their_schedules():
     algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0, steps=5e6)
     assert algorithm._entropy == pytest.approx(0.005)
     assert algorithm._desired_kl == pytest.approx(0.015)
+
+
+def test_deviation_of_actions_stays_below_its_schedule():
+    algorithm = small(initial_std=0.5, entropy=1.0, max_std="0.4@0,0.2@10M", num_learning_epochs=1)
+    rollout, last = random_rollout(algorithm)
+    # One joint's deviation is below the limit already: it stays free.
+    with torch.no_grad():
+        algorithm.actor.log_std[0] = np.log(0.05)
+    algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0, steps=5e6)
+    std = algorithm.actor.log_std.detach().exp()
+    torch.testing.assert_close(std[1:], torch.full((11,), 0.3))
+    assert std[0].item() == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize("limit", [0.0, "-0.1@0,0.2@1M"])
+def test_deviation_of_nothing_is_refused(limit):
+    with pytest.raises(RenetError, match=r"max_std must be above 0"):
+        np3o.NP3OCfg(max_std=limit)
 
 
 def test_clipped_value_loss_by_hand():

@@ -1,5 +1,6 @@
 """Actor, reward critic and one critic per constraint cost."""
 
+import math
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -41,6 +42,11 @@ class Actor(nn.Module):
     def log_prob(self, mean: Tensor, action: Tensor) -> Tensor:
         """Compute log-probabilities [...] of actions [..., 12], given the policy's means."""
         return self._around(mean).log_prob(action).sum(-1)
+
+    def limit_std(self, limit: float) -> None:
+        """Lower the standard deviations that are above a limit to the limit."""
+        with torch.no_grad():
+            self.log_std.clamp_(max=math.log(limit))
 
     def _around(self, mean: Tensor) -> Normal:
         """Return the action distribution with a mean."""

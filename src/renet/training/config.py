@@ -53,6 +53,9 @@ class NP3OCfg:
     """Clipping range of the probability ratio and of values."""
     entropy: Schedule = 0.01
     """Weight of the entropy bonus."""
+    max_std: Schedule | None = None
+    """Largest standard deviation of actions, which each update keeps; None is no limit. With much
+    noise a robot moves although its mean action stands, and nothing teaches the mean to start."""
     value_loss: float = 1.0
     """Weight of the critics' loss."""
     max_grad_norm: float = 1.0
@@ -73,6 +76,8 @@ class NP3OCfg:
         _check_positive(self, "num_learning_epochs", "num_mini_batches")
         for schedule in (self.desired_kl, self.entropy, *self.cost_budget):
             value_at(schedule, 0.0)
+        if self.max_std is not None and not value_at(self.max_std, 0.0) > 0.0:
+            raise RenetError(f"algorithm.max_std must be above 0, got {self.max_std}")
 
 
 @dataclass

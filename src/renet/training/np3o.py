@@ -224,6 +224,9 @@ class NP3O:
             for order in orders:
                 for index in order.chunk(self.cfg.num_mini_batches):
                     history.append(self._step(batch, targets, index, old_std))
+        # Only now: until here the ratios compare with the deviation of the rollout.
+        if self.cfg.max_std is not None:
+            self.actor.limit_std(value_at(self.cfg.max_std, steps))
 
         # Average the losses over gradient steps.
         losses = {}
