@@ -8,7 +8,7 @@ import torch
 
 from renet.errors import RenetError
 from renet.tasks import env_cfg
-from renet.tasks.mdp import goal, stepping, turn_tracking, velocity_tracking
+from renet.tasks.mdp import goal, kick_share, stepping, turn_tracking, velocity_tracking
 from renet.tasks.mdp.commands import COMMAND, DriveCommandCfg
 from renet.tasks.parkour_env_cfg import flat_env_cfg
 from renet.tasks.sensors import FEET_CONTACT
@@ -153,6 +153,45 @@ def test_feet_in_the_air_count_for_a_swing_of_robots_told_to_move(env, monkeypat
 def test_a_velocity_owes_no_distance(env):
     env.step(torch.zeros(ROBOTS, 12))
     assert (goal(env).commanded_distance == 0.0).all()
+
+
+def in_own_frame(env):
+    """Planar velocity in the robot's own frame and turn rate of every robot, [N, 3]."""
+    w, _, _, z = env.sim.data.qpos[:, 3:7].unbind(-1)
+    heading = 2.0 * torch.atan2(z, w)
+    x, y = env.sim.data.qvel[:, 0], env.sim.data.qvel[:, 1]
+    cos, sin = heading.cos(), heading.sin()
+    return torch.stack((cos * x + sin * y, cos * y - sin * x, env.sim.data.qvel[:, 5]), dim=-1)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 1.0])
+def test_a_share_of_new_velocities_is_given_at_once(env, share):
+    command = goal(env)
+    command.kick_share = share
+    # Robots that face in all directions, lie flat and do not move.
+    heading = torch.linspace(-3.0, 3.0, ROBOTS)
+    env.sim.data.qpos[:, 3:7] = 0.0
+    env.sim.data.qpos[:, 3] = (heading / 2).cos()
+    env.sim.data.qpos[:, 6] = (heading / 2).sin()
+    env.sim.data.qvel[:] = 0.0
+    command._resample_command(torch.arange(ROBOTS))
+    command.kick_share = 0.0
+
+    moves = in_own_frame(env)
+    told = torch.cat((command.velocity, command.free_turn.unsqueeze(-1)), dim=-1)
+    given = moves.abs().sum(-1) > 0.0
+    torch.testing.assert_close(moves[given], told[given], atol=1e-5, rtol=0.0)
+    asked = told.abs().sum(-1) > 0.0
+    assert given[asked].float().mean().item() == pytest.approx(share, abs=0.07)
+    assert (env.sim.data.qvel[:, 2:5] == 0.0).all()
+
+
+def test_share_of_kicks_follows_its_schedule(env):
+    env.common_step_counter = 10
+    share = kick_share(env, torch.arange(4), schedule=f"1@0,0.5@{20 * ROBOTS}")
+    assert share.item() == pytest.approx(0.75)
+    assert goal(env).kick_share == pytest.approx(0.75)
+    goal(env).kick_share = 0.0
 
 
 def test_only_named_tiles_have_velocities(build):

@@ -121,9 +121,6 @@ def set_command(env: RenetEnvCfg) -> None:
     shares = {"plane": 0.7, "rough": 0.8, "obstacles": 0.5}
     drive = DriveCommandCfg(**vars(goals), free_shares=shares)
     drive.told = "twist"
-    # No robot begins to walk backward or sideways by chance. One that is given the velocity it is
-    # told need only keep it. Later kicks would make starting worthless.
-    drive.kick_share = 0.5
     # Robots hardly practise what they are told at the edge of a range: the draw goes beyond it.
     # Backward, sideways and on the spot are learned last, and alone harder than while walking.
     drive.forward = (-0.7, MAX_SPEED)
@@ -131,6 +128,11 @@ def set_command(env: RenetEnvCfg) -> None:
     drive.straight_share = 0.4
     drive.spot_share = 0.2
     env.commands[COMMAND] = drive
+    # No robot begins to walk backward or sideways by chance. One that is given the velocity it is
+    # told need only keep it. Once robots follow velocities they have to learn to start by
+    # themselves.
+    kicks = {"schedule": over_phases(1.0, 0.5, 0.25, 0.25, 0.25)}
+    env.curriculum["kick_share"] = CurriculumTermCfg(func=mdp.kick_share, params=kicks)
     env.rewards["linear_velocity"].func = mdp.velocity_tracking
     # A robot that is rewarded for its heading turns as fast as it can.
     env.rewards["yaw"].func = mdp.turn_tracking

@@ -251,6 +251,8 @@ class DriveCommand(GoalCommand):
         """Velocity (v_x, v_y) of robots that follow one, base frame, [N, 2] m/s."""
         self.free_turn = torch.zeros(self.num_envs, device=self.device)
         """Turn rate omega_z of these robots, [N] rad/s; at 0 they keep their heading."""
+        self.kick_share = cfg.kick_share
+        """Share of new velocities that robots are given at once (see `DriveCommandCfg`)."""
         self.fixed_twist: Tensor | None = None
         """Twist that each robot follows in evaluation from its next episode on, [N, 3], or None."""
         self._free_share = torch.zeros(self.num_envs, device=self.device)
@@ -317,8 +319,8 @@ class DriveCommand(GoalCommand):
         free = uniform(0.0, 1.0) < self._free_share[env_ids]
         free &= self.speed[env_ids] > 0.0
         self._follow(env_ids, free, velocity, turn)
-        if cfg.kick_share:
-            self._kick(env_ids, free & (uniform(0.0, 1.0) < cfg.kick_share), velocity, turn)
+        if self.kick_share:
+            self._kick(env_ids, free & (uniform(0.0, 1.0) < self.kick_share), velocity, turn)
 
     def _follow(self, env_ids: Tensor, free: Tensor, velocity: Tensor, turn: Tensor) -> None:
         """Let robots follow a velocity.

@@ -14,7 +14,7 @@ from torch import Tensor
 from renet.errors import RenetError
 from renet.tasks.mdp.barriers import has_barriers
 from renet.tasks.mdp.base_state import distance_from_start, on_tiles, tile_terrain
-from renet.tasks.mdp.commands import goal
+from renet.tasks.mdp.commands import DriveCommand, goal
 from renet.tasks.schedule import Schedule, value_at
 from renet.terrain.tiles import BARRIERS, LEVELS, TILE
 
@@ -232,6 +232,20 @@ def command_stage(
         command.stage = 1
     command.standing_time = value_at(standing_time, steps)
     return torch.tensor(float(command.stage))
+
+
+def kick_share(env: ManagerBasedRlEnv, env_ids: Tensor, schedule: Schedule) -> Tensor:
+    """Set the share of new velocities that robots are given at once; returns it for the log.
+
+    Args:
+        env: The environment.
+        env_ids: Robots whose episodes end; the share is that of all robots.
+        schedule: The share, from 0 to 1.
+    """
+    command = goal(env)
+    assert isinstance(command, DriveCommand)
+    command.kick_share = value_at(schedule, environment_steps(env))
+    return torch.tensor(command.kick_share)
 
 
 def curriculum_state(env: ManagerBasedRlEnv) -> dict[str, Tensor]:
