@@ -3,8 +3,8 @@
 # Takes 80 minutes on one core; parts of studies that are done are not run again.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-study() { # NAME COMMAND...: keeps its summary.json.
-    renet evaluate "${@:2}" --bundle go2-parkour --out "results/go2/$1"
+study() { # NAME COMMAND...: keeps its summary.json, of robots in nominal conditions.
+    renet evaluate "${@:2}" --conditions nominal --bundle go2-parkour --out "results/go2/$1"
     cp "results/go2/$1/summary.json" "benchmarks/results/go2/$1.json"
 }
 version_1="gap:3 platform:6 stairs_up:6 stairs_down:10 obstacles:10"

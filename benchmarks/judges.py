@@ -69,7 +69,8 @@ class Cfg:
 
 def make_evaluator(cfg: Cfg) -> RivalEvaluator:
     """The bundle of the study under a judge, which is trained here if it learns."""
-    evaluator = RivalEvaluator(cfg.study.bundle, cfg.study.engine)
+    # Conditions of the experience; the benchmark has its own.
+    evaluator = RivalEvaluator(cfg.study.bundle, cfg.study.engine, conditions="nominal")
     if cfg.judge != "oracle":
         train(cfg, evaluator)
     # Only now, for experience is collected without a judge.

@@ -94,7 +94,7 @@ class Cfg:
     """Control steps of each robot in an iteration, in place of the recipe's; for quick trials."""
     seed: int = 1
     """Seed of training; the rows are judged with `study.seed`."""
-    study: TerrainStudy = field(default_factory=TerrainStudy)
+    study: TerrainStudy = field(default_factory=lambda: TerrainStudy(conditions="nominal"))
     """How rows are judged; its mode, folder and bundle are the row's."""
     status: bool = False
     """Only print where each row stands."""
@@ -230,7 +230,7 @@ def judge_row(cfg: Cfg, row: Row, checkpoint: Path) -> None:
     """Run the terrain study of a row's last checkpoint and keep its results."""
     out = cfg.out / row.slug / "terrain"
     study = replace(cfg.study, out=out, modes=(row.mode,), bundle=None)
-    summary = study.run(CheckpointEvaluator(checkpoint))
+    summary = study.run(CheckpointEvaluator(checkpoint, study.conditions))
     steps, seconds, _ = progress(cfg, row)
     state = checkpoints.load_state(checkpoint)
     trained = {"steps": steps, "hours": seconds / 3600, "seed": cfg.seed, "code": state["code"]}
@@ -246,7 +246,8 @@ def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     if results is None or results["steps"] < cfg.steps:
         return None
     names = ("robots", "quick", "seed", "speed", "seconds", "levels", "kinds", "fault")
-    same = all(results["settings"][n] == plain(getattr(cfg.study, n)) for n in names)
+    settings = {"conditions": "nominal", **results["settings"]}  # Older results do not say so.
+    same = all(settings[n] == plain(getattr(cfg.study, n)) for n in (*names, "conditions"))
     return results if same else None
 
 

@@ -44,8 +44,8 @@ class TheirPolicy:
 
 
 class TheirEvaluator(Evaluator):
-    def __init__(self, model: Path):
-        super().__init__()
+    def __init__(self, model: Path, conditions="training"):
+        super().__init__(conditions=conditions)
         try:
             digest = hashlib.sha256(model.read_bytes()).hexdigest()
         except OSError as error:

@@ -32,7 +32,8 @@ PICTURE_STEPS = 2
 
 def main() -> None:
     """Drive, film, and write an animated WebP."""
-    evaluator = Evaluator(Path(sys.argv[1] if len(sys.argv) > 1 else "go1-driven"))
+    bundle = Path(sys.argv[1] if len(sys.argv) > 1 else "go1-driven")
+    evaluator = Evaluator(bundle, conditions="nominal")
     rows = range(len(COMMANDS))
     env = evaluator.make_env(FLAT_GROUND, [0] * len(rows), speed=0.6, seed=0)
     env.follow(np.array(list(COMMANDS.values())))

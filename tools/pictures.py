@@ -67,7 +67,7 @@ class Cfg:
 
 def main(cfg: Cfg) -> None:
     """Draw all pictures, and write the errors of the height maps."""
-    evaluator, kinds = Evaluator(cfg.bundle), list(tiles())
+    evaluator, kinds = Evaluator(cfg.bundle, conditions="nominal"), list(tiles())
     env = evaluator.make_env(PARKOUR, range(len(kinds)), 0.6, cfg.seed)
     origins = tile_terrain(env.env).terrain_origins
     rays = scanner(env.env.sim.mj_model, "cpu")

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import Conditions
 from renet.interface import STEPS_PER_TICK
 from renet.models.adaptation import fuse
 from renet.models.memory import EstimatorMemory
@@ -77,9 +78,9 @@ class CheckpointEvaluator(Evaluator):
 
     privileged = ("height_map",)
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, conditions: Conditions = "training") -> None:
         """Load a checkpoint; raises RenetError where it is damaged."""
-        super().__init__()
+        super().__init__(conditions=conditions)
         self._model = load_networks(path)
         self._name = path.name
         digest = hashlib.sha256()

@@ -32,7 +32,7 @@ from renet.evaluation.benchmark.walking import CAMERA_NOISE, SUNK, course_env_cf
 from renet.evaluation.env import SimEnv
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import group_by
-from renet.evaluation.rollout import Trial
+from renet.evaluation.rollout import Conditions, Trial
 from renet.evaluation.study import Part, Study, Table
 from renet.evaluation.trace import StepResult, Trace
 from renet.faults import FAULTS, Frames, ViewPerturbation
@@ -266,6 +266,9 @@ class KilometreStudy(Study):
     film: Path | None = None
     """Film of the first lap, an animated .webp: on some sections the first of the modes beside the
     last, of the first robot of which most of these sections are crossed in the first mode alone."""
+
+    # Hidden, because the lap has those of the fault benchmark.
+    conditions: tyro.conf.Suppress[Conditions] = "nominal"
 
     name: ClassVar[str] = "kilometre"
     selectable: ClassVar[tuple[str, ...]] = ("laps", "quick", "film")

@@ -121,7 +121,7 @@ def test_reset_trusts_vision_again() -> None:
 
 
 def test_runs_in_the_closed_loop_of_the_studies(monkeypatch: pytest.MonkeyPatch) -> None:
-    evaluator = SwitchEvaluator()
+    evaluator = SwitchEvaluator(conditions="nominal")
     fault = (Injection.of("blackout", 5, onset=5),)
     trials = [Trial(mode, fault if bad else ()) for mode in ("camera", "blind") for bad in (0, 1)]
     env = evaluator.make_env("flat", range(4), 0.6, 1)

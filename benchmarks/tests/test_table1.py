@@ -14,7 +14,7 @@ from renet.evaluation.studies.terrain import TerrainStudy
 from renet.training import checkpoint as checkpoints
 from renet.training.provenance import to_json
 
-STUDY = TerrainStudy(levels=(1,), robots=1, seconds=1.0)
+STUDY = TerrainStudy(levels=(1,), robots=1, seconds=1.0, conditions="nominal")
 
 
 ORACLE, ZHUANG = (next(r for r in table1.ROWS if r.name == n) for n in ("Oracle", "Zhuang"))
@@ -114,7 +114,10 @@ def test_prints_what_the_study_measured_beside_the_papers(done) -> None:
     kept = json.loads(cfg.result(ORACLE).read_text())
     assert kept["runs"] == summary["runs"]
     easier = replace(cfg, study=replace(cfg.study, levels=(2,)))
-    assert [table1.measured(one, ORACLE) is None for one in (cfg, easier)] == [False, True]
+    harder = replace(cfg, study=replace(cfg.study, conditions="training"))
+    judged = [table1.measured(one, ORACLE) is not None for one in (cfg, easier, harder)]
+    assert judged == [True, False, False]
+    assert table1.Cfg().study.conditions == "nominal", "as those that are kept"
     assert (kept["steps"], kept["seed"]) == (400, 1)
     assert renet.__version__ in kept["code"]
     assert "run" in kept["curves"]

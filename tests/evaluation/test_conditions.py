@@ -1,20 +1,28 @@
 """Training's conditions in evaluation: its ranges, drawn alike for twins."""
 
+import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.errors import RenetError
 from renet.evaluation.conditions import Disturbances, use_training_conditions
+from renet.evaluation.demo import DemoStudy
 from renet.evaluation.env import SimEnv, study_env_cfg, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.rollout import FLAT_GROUND
+from renet.evaluation.studies.commands import CommandStudy
 from renet.evaluation.trace import StepResult
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 from renet.tasks import VISUAL_GO1, env_cfg
 from renet.tasks.parkour_env_cfg import NOISE, randomize
 from renet.tasks.sensors import depth_camera
+
+from .tiny import STUDIES
 
 NUMBERS = [*range(8), *reversed(range(8))]
 """Robots of two modes, in another order."""
@@ -134,7 +142,7 @@ def test_bodies_and_starts_are_those_of_nominal_conditions():
 def test_late_joint_targets_are_refused():
     trained = env_cfg("Renet-Go1-Parkour")
     randomize(trained, action_delay=0.02)
-    with pytest.raises(RenetError, match="delays joint targets"):
+    with pytest.raises(RenetError, match=r"delays joint targets.*give --conditions nominal$"):
         config(trained)
 
 
@@ -146,4 +154,36 @@ def test_an_evaluator_under_training_conditions_makes_every_ground_so():
         assert {"motor_strength", "joint_offset", "push"} <= set(cfg.events)
     env = evaluator.make_env({"gap": 3}, [0, 0], 0.6, 1)
     assert env._camera._max_delay == 5
-    assert Evaluator().terrain_env_cfg("flat").events.keys().isdisjoint({"push", "motor_strength"})
+    nominal = Evaluator(conditions="nominal").terrain_env_cfg("flat")
+    assert nominal.events.keys().isdisjoint({"push", "motor_strength"})
+
+
+@pytest.mark.parametrize("study", [*STUDIES.values(), DemoStudy, CommandStudy])
+def test_robots_of_a_study_differ_and_are_pushed_by_default(study, tmp_path):
+    cfg = study(tmp_path).make_evaluator().terrain_env_cfg({"gap": 3})
+    assert {"motor_strength", "damping", "joint_offset", "push"} <= set(cfg.events)
+    cfg = study(tmp_path, conditions="nominal").make_evaluator().terrain_env_cfg({"gap": 3})
+    assert cfg.events.keys().isdisjoint({"motor_strength", "damping", "joint_offset", "push"})
+
+
+def test_robots_of_a_default_study_walk_with_motors_delays_noise_and_pushes_of_training(tmp_path):
+    env = CommandStudy(tmp_path).make_evaluator().make_env(FLAT_GROUND, NUMBERS, 0.6, 1)
+    limits = env.env.sim.model.actuator_forcerange[:, :, 1]
+    assert len(limits.unique(dim=0)) == 8
+    assert torch.equal(limits, limits[TWIN])
+    assert env._camera._max_delay == 5
+    assert env._disturbances.noise is not None
+    env.reset()
+    pushed = [env._disturbances.draw_pushes()[0] for _ in range(510)]
+    assert torch.stack(pushed).any(dim=0).all(), "after 10 s everybody has been pushed"
+
+
+def test_a_bundle_without_a_task_is_judged_in_the_recipes_conditions(tmp_path):
+    shutil.copytree(pretrained("go1-parkour"), tmp_path / "old")
+    manifest = read_manifest(tmp_path / "old")
+    origin = replace(manifest.provenance, task="")
+    write_manifest(tmp_path / "old", replace(manifest, provenance=origin))
+    named, unnamed = (
+        Evaluator(bundle).terrain_env_cfg("flat") for bundle in (None, tmp_path / "old")
+    )
+    assert {*unnamed.events} == {*named.events} > {"motor_strength", "push"}

@@ -49,7 +49,7 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
 
 
 def test_the_shipped_selector_walks_on_vision_through_sparse_grass_alone():
-    evaluator, severities = Evaluator(), (1, 2, 4, 5)
+    evaluator, severities = Evaluator(conditions="nominal"), (1, 2, 4, 5)
     grass = {s: (Injection.of("tall_grass", s, onset=20),) for s in severities}
     trials = [Trial("memory", grass[s], robot) for s in severities for robot in range(5)]
     env = evaluator.make_env("flat", [trial.robot for trial in trials], 0.6, 1)
@@ -65,7 +65,7 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
     # Only robots that walk count: the shipped policy's do.
     bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
-    short = CalibrateCfg(bundle, robots=2, seconds=2.0, terrains=("flat",))
+    short = CalibrateCfg(bundle, robots=2, seconds=2.0, terrains=("flat",), conditions="nominal")
     beta = run_calibrate(replace(short, sparse_grass=False))
     selector = read_manifest(bundle).selector
     assert selector.beta == pytest.approx(beta)
@@ -139,7 +139,9 @@ def test_monitors_that_withhold_single_images_are_calibrated_with_them(
     assert (selector.thresholds["map_error"], selector.longest_memory) == (0.4, 7.0)
 
 
-def test_calibration_walks_in_the_conditions_that_are_asked_for(tmp_path, monkeypatch):
+def test_calibration_walks_in_the_conditions_that_are_asked_for_and_by_default_in_trainings(
+    tmp_path, monkeypatch
+):
     bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
     tasks = []
 
@@ -148,10 +150,12 @@ def test_calibration_walks_in_the_conditions_that_are_asked_for(tmp_path, monkey
         raise RenetError("begun")
 
     monkeypatch.setattr(Evaluator, "make_env", begin)
-    for conditions in ("nominal", "training"):
+    cfg = CalibrateCfg(bundle, terrains=("parkour",))
+    for asked in (replace(cfg, conditions="nominal"), replace(cfg, conditions="training"), cfg):
         with pytest.raises(RenetError, match="begun"):
-            run_calibrate(CalibrateCfg(bundle, terrains=("parkour",), conditions=conditions))
-    assert ["push" in task.events for task in tasks] == [False, True]
+            run_calibrate(asked)
+    drawn = [{"push", "motor_strength"} & {*task.events} for task in tasks]
+    assert drawn == [set(), {"push", "motor_strength"}, {"push", "motor_strength"}]
 
 
 WRONG = {"robots": 0, "terrains": ("flat", "park"), "speed": 0.0, "seconds": np.inf}

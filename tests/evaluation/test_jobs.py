@@ -160,6 +160,7 @@ def test_numbers_of_jobs_and_shards_that_make_no_sense_are_refused(tmp_path):
 def test_robots_that_retire_and_jobs_and_shards_change_no_digit_of_a_study(tmp_path, monkeypatch):
     options = {"faults": ("blackout:5", "frozen:5"), "grounds": ("gap",), "level": 6, "robots": 2}
     options |= {"onsets": (0.5,), "lasts": 2.0, "seconds": 7.0, "healthy_minutes": 0.0}
+    options |= {"conditions": "nominal"}
     with monkeypatch.context() as patch:
         patch.setattr(FaultStudy, "retires", False)
         FaultStudy(tmp_path / "whole", **options).run()

@@ -14,7 +14,7 @@ from renet.bundle import Bundle, pretrained
 from renet.errors import RenetError
 from renet.evaluation import painter, video
 from renet.evaluation.env import robot_of
-from renet.evaluation.play import PlayCfg, bundle_folder, run_play
+from renet.evaluation.play import PlayCfg, bundle_folder, opened, run_play
 from renet.evaluation.trace import Trace
 from renet.robots import GO1
 from renet.tasks import VISUAL_GO1
@@ -55,6 +55,12 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
     film = run_play(replace(cfg, seconds=1.0, viewer="none"))
     assert film.stat().st_size > 1000
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_robots_of_a_film_are_nominal():
+    with opened(PlayCfg()) as (evaluator, _):
+        events = evaluator.terrain_env_cfg("flat").events
+    assert events.keys().isdisjoint({"motor_strength", "push"})
 
 
 CONSTANT = """

@@ -103,7 +103,7 @@ theirs (float[1, 48] obs) => (float[1, 12] continuous_actions)
 
 def test_playgrounds_policy_alone_sees_the_simulator_in_its_own_order(model, tmp_path):
     onnx.save(onnx.parser.parse_model(PLAYGROUND), tmp_path / "go1_policy.onnx")
-    study = playground_policy.CameraUse(model=tmp_path / "go1_policy.onnx")
+    study = playground_policy.CameraUse(model=tmp_path / "go1_policy.onnx", conditions="nominal")
     evaluator = study.make_evaluator()
     env = evaluator.make_env("flat", range(2), 0.6, 1)
     result = env.reset()

@@ -92,9 +92,9 @@ class CalibrateCfg:
     sparse_grass: bool = True
     """Judge images by the model's predicted variance, if it has one, not by the reconstruction, and
     raise thresholds, at most twofold, until each monitor accepts 49 of 50 walks through grass."""
-    conditions: Conditions = "nominal"
+    conditions: Conditions = "training"
     """Conditions of simulated runs (docs/measure.md): with `training` bodies, sensors, delays and
-    pushes differ as in training."""
+    pushes differ as in training. The limits of memory are measured in nominal ones."""
     seed: int = 7
     """Seed of the robots' starts."""
     engine: Engine = "auto"

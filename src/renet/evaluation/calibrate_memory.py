@@ -37,8 +37,9 @@ def memory_limits(
     """Measure limits of memory: a predicted error of the map, and a time without an image.
 
     Beyond a limit OP falls less often than VP does from memory. Robots whose cameras die walk in
-    mode memory, their twins in mode blind, in one try on every kind and level of tile. If OP is
-    never better, there is no threshold, and memory may last as long as was measured.
+    mode memory, their twins in mode blind, in one try on every kind and level of tile, in nominal
+    conditions. If OP is never better, there is no threshold, and memory may last as long as was
+    measured.
 
     Args:
         evaluator: evaluator of the bundle.

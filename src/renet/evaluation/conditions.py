@@ -1,4 +1,4 @@
-"""Conditions of a study beside the ground: nominal ones, or those of training.
+"""Conditions of a study beside the ground: those of training, by default, or nominal ones.
 
 Under nominal conditions bodies, starts and the camera's mount differ a little, and images have
 noise; the other sensors are exact, images are never late, and robots are not pushed.
@@ -39,7 +39,7 @@ def use_training_conditions(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
     if trained.motors.target_delay[1] > 0.0:
         raise RenetError(
             "this bundle's task delays joint targets in training, which a study cannot draw alike"
-            " for twins: leave out --conditions training"
+            " for twins: give --conditions nominal"
         )
     # Start-up events draw the bodies; the others, such as the spawn, are the study's own.
     for name, event in trained.events.items():

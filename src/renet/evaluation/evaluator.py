@@ -53,7 +53,7 @@ class Evaluator:
         self,
         bundle: Path | None = None,
         engine: str = "auto",
-        conditions: Conditions = "nominal",
+        conditions: Conditions = "training",
         motors: str = IDEAL,
     ) -> None:
         """Load a bundle; raises RenetError if the bundle or the motors cannot be used.
@@ -61,7 +61,7 @@ class Evaluator:
         Args:
             bundle: folder of the bundle; by default the one that comes with renet.
             engine: auto, native or warp.
-            conditions: nominal, or training for those of the bundle's task.
+            conditions: training, for those of the bundle's task, or nominal.
             motors: motors of the robots: ideal, go1, or a file of `renet identify`.
         """
         self.bundle = Bundle.load(bundle, threads=THREADS)

@@ -121,7 +121,9 @@ def opened(cfg: PlayCfg) -> Iterator[tuple[Evaluator, Mapping[str, str]]]:
 
     with bundle_folder(cfg.bundle) as folder:
         modes = cfg.modes or DEFAULT_MODES
-        yield Evaluator(folder, cfg.engine), dict(zip(modes, modes, strict=True))
+        # A film shows the fault, not what else differs between robots.
+        evaluator = Evaluator(folder, cfg.engine, conditions="nominal")
+        yield evaluator, dict(zip(modes, modes, strict=True))
 
 
 def check_play(cfg: PlayCfg) -> None:

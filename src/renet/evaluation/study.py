@@ -91,7 +91,7 @@ class Study:
     """Seed of the robots' bodies and starts and of the camera faults."""
     engine: Engine = "auto"
     """Physics engine, on the CPU; auto: native."""
-    conditions: Conditions = "nominal"
+    conditions: Conditions = "training"
     """Conditions of the robots. training: those of the bundle's training, with differences between
     motors, joints and mounts, late images, sensor noise and pushes; nominal: hardly any of them."""
     motors: str = IDEAL
@@ -184,7 +184,8 @@ class Study:
         """Run the parts that are missing, write the results to `out` and return the summary.
 
         Args:
-            evaluator: evaluator of the policy; made from the settings by default.
+            evaluator: evaluator of the policy, whose own conditions hold; made from the settings by
+                default.
 
         Raises:
             RenetError: the bundle cannot be used, or the folder cannot be written to.

@@ -12,6 +12,7 @@ import torch
 
 from renet.errors import RenetError
 from renet.evaluation.adapters.evaluator import AdaptedEvaluator, find_adapter
+from renet.evaluation.adapters.options import PolicyOptions
 
 STILL = """
 <ir_version: 8, opset_import: ["" : 17]>
@@ -57,6 +58,14 @@ def test_a_heading_is_told_as_a_twist(still, monkeypatch):
     proprioception[0, 6:9] = 0.6, np.sin(0.2), np.cos(0.2)
     policy.step(proprioception, np.ones((1, 48, 64), np.float32), np.zeros(1, bool))
     np.testing.assert_allclose(seen[0].command, [[0.6, 0.0, 0.3]], atol=1e-6)
+
+
+def test_robots_are_those_of_training_by_default_and_nominal_in_films(still):
+    judged = AdaptedEvaluator(still, "onnx-depth").terrain_env_cfg("flat")
+    assert {"motor_strength", "push"} <= set(judged.events)
+    filmed = PolicyOptions(policy=still, adapter="onnx-depth").open_policy("native")
+    assert filmed is not None
+    assert filmed.terrain_env_cfg("flat").events.keys().isdisjoint({"motor_strength", "push"})
 
 
 def test_another_file_is_another_policy(still, tmp_path):

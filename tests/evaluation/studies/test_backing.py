@@ -29,13 +29,20 @@ def test_outcomes_are_those_of_the_first_try():
 
 
 def test_a_robot_that_stands_neither_backs_out_nor_falls(tmp_path):
-    study = BackingStudy(tmp_path, bundle=DRIVEN, quick=True, seconds=1.0, kinds=("stairs_up",))
-    (run,) = study.run(StillEvaluator(DRIVEN))["runs"]
+    study = BackingStudy(
+        tmp_path,
+        bundle=DRIVEN,
+        quick=True,
+        seconds=1.0,
+        kinds=("stairs_up",),
+        conditions="nominal",
+    )
+    (run,) = study.run(StillEvaluator(DRIVEN, conditions="nominal"))["runs"]
     assert (run["backed"], run["falls"], run["robots"]) == (0, 0, 6)
 
 
 def test_a_policy_that_can_be_driven_backs_out(tmp_path):
-    study = BackingStudy(tmp_path, bundle=DRIVEN, quick=True, kinds=("gap",))
+    study = BackingStudy(tmp_path, bundle=DRIVEN, quick=True, kinds=("gap",), conditions="nominal")
     (run,) = study.run()["runs"]
     assert run["backed"] >= 4
     assert run["success_rate"] == run["backed"] / run["robots"]

@@ -95,11 +95,16 @@ class Reader:
     [("camera", None, True), ("blind", None, False), ("camera", 0.5, True), ("camera", 0.0, False)],
 )
 def test_two_policies_that_look_and_two_that_do_not(mode, gain, looks, tmp_path):
-    evaluator = Evaluator()
+    evaluator = Evaluator(conditions="nominal")
     if gain is not None:
         evaluator.make_policy = partial(Reader, gain)  # type: ignore[method-assign]
     study = camera_use.CameraUseStudy(
-        out=tmp_path, grounds=("gap:3",), modes=(mode,), robots=6, seconds=1.0
+        out=tmp_path,
+        grounds=("gap:3",),
+        modes=(mode,),
+        robots=6,
+        seconds=1.0,
+        conditions="nominal",
     )
     summary = study.run(evaluator)
     assert ("ignores its camera" not in summary["sentence"]) == looks

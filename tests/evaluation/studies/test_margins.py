@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from renet.evaluation.conditions import use_training_conditions
-from renet.evaluation.env import terrain_env_cfg
+from renet.evaluation.env import SimEnv, study_env_cfg, terrain_env_cfg
 from renet.evaluation.studies.margins import ALLOWED_LOSS, MARGIN_AXES, MarginsStudy, change, margin
 from renet.tasks import VISUAL_GO1, env_cfg
 from renet.tasks.sensors import depth_camera
@@ -77,6 +77,19 @@ def test_a_biased_sensor_keeps_the_noise_of_training():
     np.testing.assert_allclose(after["n_max"], high + 0.5 * gyro)
 
 
+@pytest.mark.parametrize(("axis", "level"), [("soft_gains", 30), ("stiff_gains", 400)])
+def test_gains_are_what_the_sweep_says_under_trainings_conditions_too(axis, level):
+    cfg = flat_cfg()
+    use_training_conditions(cfg, env_cfg("Renet-Go1-Parkour"))
+    change(cfg, axis, level)
+    robot = SimEnv(study_env_cfg(cfg, 0.6), [0, 1], 1, "native").env
+    stiffness = robot.sim.model.actuator_gainprm[:, :, 0]
+    damping = robot.sim.model.actuator_biasprm[:, :, 2]
+    for drawn, field, place in ((stiffness, "gainprm", 0), (damping, "biasprm", 2)):
+        nominal = robot.sim.get_default_field(f"actuator_{field}")[..., place]
+        np.testing.assert_allclose(drawn / nominal, level / 100, rtol=1e-5)
+
+
 def run(level: float | None, failed: float) -> dict:
     return {"axis": "payload" if level else "nominal", "level": level, "failed": failed}
 
@@ -97,7 +110,7 @@ def test_robots_fall_at_the_violent_end_and_the_sweep_stops_there(tmp_path, monk
         MARGIN_AXES, "payload", replace(MARGIN_AXES["payload"], levels=(1.0, 90.0, 99.0))
     )
     where = {"axes": ("payload",), "grounds": ("flat",), "modes": ("blind",)}
-    study = MarginsStudy(out=tmp_path, robots=1, seconds=2.0, **where)
+    study = MarginsStudy(out=tmp_path, robots=1, seconds=2.0, conditions="nominal", **where)
     summary = study.run()
     runs = [(run["axis"], run["level"], run["failed"]) for run in summary["runs"]]
     assert runs == [("nominal", None, 0), ("payload", 1.0, 0), ("payload", 90.0, 1)]

@@ -8,7 +8,14 @@ from renet.terrain.tiles import TILE
 
 
 def test_a_robot_that_stops_does_not_fall_into_a_gap_it_never_saw(tmp_path):
-    study = ReachStudy(tmp_path, robots=4, metres=(1.35,), unseen=("walk", "stop"), seconds=7.0)
+    study = ReachStudy(
+        tmp_path,
+        robots=4,
+        metres=(1.35,),
+        unseen=("walk", "stop"),
+        seconds=7.0,
+        conditions="nominal",
+    )
     runs = {run["unseen"]: run for run in study.run()["runs"] if run["scene"] == "gap"}
     assert runs["healthy"]["crossed"] == 4
     assert runs["walk"]["fell"] >= 3

@@ -26,8 +26,8 @@ class StillEvaluator(Evaluator):
 
 
 def test_robots_that_stand_do_not_fall_and_have_not_walked(tmp_path):
-    study = StopsStudy(tmp_path, quick=True, seconds=1.0, angles=(30.0,))
-    runs = study.run(StillEvaluator())["runs"]
+    study = StopsStudy(tmp_path, quick=True, seconds=1.0, angles=(30.0,), conditions="nominal")
+    runs = study.run(StillEvaluator(conditions="nominal"))["runs"]
     assert [(run["kind"], run["angle_deg"]) for run in runs] == [("wall", 30.0), ("ledge", 30.0)]
     for run in runs:
         assert (run["success_rate"], run["falls"], run["robots"]) == (1.0, 0, 6)
@@ -35,7 +35,14 @@ def test_robots_that_stand_do_not_fall_and_have_not_walked(tmp_path):
 
 
 def test_the_shipped_policy_walks_over_an_edge(tmp_path):
-    study = StopsStudy(tmp_path, quick=True, seconds=6.0, kinds=("ledge",), angles=(0.0,))
+    study = StopsStudy(
+        tmp_path,
+        quick=True,
+        seconds=6.0,
+        kinds=("ledge",),
+        angles=(0.0,),
+        conditions="nominal",
+    )
     (run,) = study.run()["runs"]
     assert run["falls"] == run["robots"] == 6
     assert run["walked_m"] is None

@@ -19,6 +19,7 @@ from renet.evaluation.adapters.base import Adapter, Senses
 from renet.evaluation.adapters.models import MAX_POLICY_SIZE, MisfitError, Model, open_model
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
+from renet.evaluation.rollout import Conditions
 from renet.files import read_bytes
 from renet.interface import (
     ACTION_SIZE,
@@ -213,17 +214,24 @@ def _twist(heading: np.ndarray) -> np.ndarray:
 class AdaptedEvaluator(Evaluator):
     """Evaluator of another project's model, on the robot of a bundle that comes with renet."""
 
-    def __init__(self, path: Path, adapter: str, engine: str = "auto") -> None:
+    def __init__(
+        self,
+        path: Path,
+        adapter: str,
+        engine: str = "auto",
+        conditions: Conditions = "training",
+    ) -> None:
         """Open a model; raises RenetError if it or the adapter cannot be used.
 
         Args:
             path: file of the model.
             adapter: name of an adapter, or a Python file, see `find_adapter`.
             engine: auto, native or warp.
+            conditions: training, for those of that bundle's task, or nominal.
         """
         self.adapter = find_adapter(adapter)
         demand_name(f"adapter {adapter}: bundle", self.adapter.bundle, SHIPPED)
-        super().__init__(pretrained(self.adapter.bundle), engine)
+        super().__init__(pretrained(self.adapter.bundle), engine, conditions)
         self._path = path
         if self.adapter.needs_velocity:
             self.privileged = ("velocity",)

@@ -32,7 +32,7 @@ class PolicyOptions:
             raise RenetError("give --policy or --bundle, not both")
 
     def open_policy(self, engine: str) -> AdaptedEvaluator | None:
-        """Open the policy; None if none is given.
+        """Open the policy in nominal conditions; None if none is given.
 
         Raises RenetError if the file or the adapter cannot be used.
         """
@@ -41,4 +41,5 @@ class PolicyOptions:
         # It loads PyTorch and mjlab, which take seconds.
         from renet.evaluation.adapters.evaluator import AdaptedEvaluator
 
-        return AdaptedEvaluator(self.policy, self.adapter, engine)
+        # Films have no others, and the benchmark sets its own.
+        return AdaptedEvaluator(self.policy, self.adapter, engine, conditions="nominal")

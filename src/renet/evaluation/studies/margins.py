@@ -85,6 +85,8 @@ def change(cfg: RenetEnvCfg, axis: str, level: float) -> None:
         case "soft_gains" | "stiff_gains":
             scale = (level / 100, level / 100)
             events["servo_gains"].params |= {"kp_range": scale, "kd_range": scale}
+            # Training's draw of Kd comes later, and would replace this one.
+            events.pop("damping", None)
         case "joint_zeros":
             randomize(cfg, joint_offset=level)
         case "gravity":
