@@ -36,7 +36,7 @@ class Cfg:
     """Compare the speed of this working tree with that of an earlier commit."""
 
     before: tyro.conf.Positional[str]
-    """Commit, branch or tag, whose studies have `--conditions`."""
+    """Commit, branch or tag."""
     rounds: int = 3
     """Runs of each commit, in turn."""
     parts: tuple[Literal["study", "training"], ...] = ("study", "training")
@@ -100,10 +100,13 @@ def renet(tree: Path, *arguments: str) -> tuple[float, float]:
 
 
 def run_study(tree: Path, cfg: Cfg, out: Path) -> tuple[float, float]:
-    """Run the fault study on one ground, in conditions that both commits have."""
+    """Run the fault study on one ground, in nominal conditions."""
     size = ["--robots", str(cfg.robots), "--healthy-minutes", str(cfg.healthy_minutes)]
     faults = ["--faults", *cfg.faults] if cfg.faults else []
-    where = ["--grounds", cfg.ground, "--conditions", "nominal", "--out", str(out)]
+    where = ["--grounds", cfg.ground, "--out", str(out)]
+    # Commits without other conditions have nominal ones alone.
+    if (tree / "src/renet/evaluation/conditions.py").exists():
+        where += ["--conditions", "nominal"]
     return renet(tree, "evaluate", "faults", *where, *size, *faults)
 
 

@@ -15,7 +15,7 @@ class Fake:
 
     def __init__(self) -> None:
         self.commands: list[tuple[str, ...]] = []
-        self.crossed = {"before": 3, "now": 3}
+        self.crossed = {"before": 3, "now": 3, "new": 3}
 
     def __call__(self, tree: Path, *arguments: str) -> tuple[float, float]:
         self.commands.append((tree.name, *arguments))
@@ -69,3 +69,13 @@ def test_the_worktree_is_of_its_commit_and_temporary(tmp_path):
         speed.worktree("nonsense"),
     ):
         pass
+
+
+def test_commits_walk_in_nominal_conditions_and_old_ones_need_not_be_told(fake, tmp_path):
+    new = tmp_path / "new"
+    (new / "src/renet/evaluation").mkdir(parents=True)
+    (new / "src/renet/evaluation/conditions.py").touch()
+    speed.run_study(new, CFG, tmp_path / "a")
+    speed.run_study(tmp_path / "before", CFG, tmp_path / "b")
+    told = ["--conditions nominal" in " ".join(command) for command in fake.commands]
+    assert told == [True, False]
