@@ -192,7 +192,7 @@ def set_tiles(env: RenetEnvCfg) -> None:
     assert terrain.terrain_generator is not None
     tiles = dense_tiles() | barriers()
     # Velocities are learned on rough ground.
-    shares = {"rough": 6.0, "stairs_up": 1.5, "gap": 2.0, "platform": 2.0}
+    shares = {"rough": 5.0, "stairs_up": 1.5, "gap": 2.0, "platform": 2.0}
     shares |= {"wall": 0.5, "ledge": 0.5}
     for kind, share in shares.items():
         tiles[kind].proportion = share
