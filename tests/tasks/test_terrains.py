@@ -11,7 +11,12 @@ from renet.errors import RenetError
 from renet.evaluation.env import terrain_env_cfg
 from renet.sim.depth.rasterizer import scanner
 from renet.tasks import VISUAL_GO1, RenetEnvCfg, env_cfg, make_env
-from renet.tasks.mdp.curriculums import FIRST_LEVELS
+from renet.tasks.mdp.curriculums import (
+    FIRST_LEVELS,
+    curriculum_state,
+    load_curriculum_state,
+    tile_shares,
+)
 from renet.tasks.parkour_env_cfg import tile_env_cfg
 from renet.tasks.terrains import add_own_ground, tile_row
 from renet.terrain.own_ground import GroundFile
@@ -248,6 +253,76 @@ def test_passing_the_last_level_counts(parkour):
     at_level(parkour, 3, asked=20.0)
     assert end(parkour)["Curriculum/level/rough"] == pytest.approx(2.0)
     assert not passed.any()
+
+
+def on_kinds(env) -> dict[str, int]:
+    """Number of robots on each kind of tile."""
+    types = env.scene.terrain.terrain_types
+    return dict(zip(KINDS, types.bincount(minlength=len(KINDS)).tolist(), strict=True))
+
+
+def test_robots_move_to_other_tiles_as_their_episodes_end(parkour, monkeypatch):
+    terrain, everyone = parkour.scene.terrain, torch.arange(12)
+    levels = parkour.curriculum_manager.get_term_cfg("level").func
+    before, types = on_kinds(parkour), terrain.terrain_types
+    monkeypatch.setattr(terrain, "terrain_types", types.clone())
+    assert before["rough"] == before["gap"] == 2
+    at_level(parkour, 3)
+    levels.levels[types == KINDS.index("gap")] = 7
+    levels.passed[:] = False
+
+    # The same shares as ever move nobody.
+    assert tile_shares(parkour, everyone, {"gap": 1.0})["gap"] == pytest.approx(2 / 12)
+    assert torch.equal(terrain.terrain_types, types)
+
+    # No rough ground, and twice as many gaps: both robots go, but only when their episodes end.
+    shares = {"rough": "1@0,0@1k", "gap": "1@0,2@1k"}
+    monkeypatch.setattr(parkour, "common_step_counter", 1_000)
+    rough = (types == KINDS.index("rough")).nonzero()[:, 0]
+    tile_shares(parkour, (types != KINDS.index("rough")).nonzero()[:, 0], shares)
+    assert torch.equal(terrain.terrain_types, types)
+    tile_shares(parkour, rough[1:], shares)
+    assert on_kinds(parkour) == before | {"rough": 1, "gap": 3}
+    logged = tile_shares(parkour, everyone, shares)
+    assert on_kinds(parkour) == before | {"rough": 0, "gap": 4}
+    assert {kind: share.item() for kind, share in logged.items()} == {
+        "rough": 0.0,
+        "gap": pytest.approx(4 / 12),
+    }
+
+    # They begin at the level of the robots that are there.
+    assert (levels.levels[rough] == 7).all()
+    origins = terrain.terrain_origins[terrain.terrain_levels, terrain.terrain_types]
+    assert torch.equal(terrain.env_origins[rough], origins[rough])
+
+
+def test_robots_stay_on_their_tiles_in_a_run_that_goes_on(build):
+    env = build(TASK, 24)
+    types = env.scene.terrain.terrain_types
+    begun = types.clone()
+    # The first robot, on rough ground, has gone to the gaps.
+    kinds = list(env.scene.terrain.cfg.terrain_generator.sub_terrains)
+    types[0] = kinds.index("gap")
+    state = {name: value.clone() for name, value in curriculum_state(env).items()}
+    types[:] = begun
+    load_curriculum_state(env, state, steps=0)
+    assert types[0] == kinds.index("gap")
+    assert torch.equal(types[1:], begun[1:])
+
+
+def test_recipe_ends_with_more_robots_at_gaps_and_fewer_on_rough_ground(build):
+    env = build(TASK, 24)
+    terrain = env.scene.terrain
+    kinds = list(terrain.cfg.terrain_generator.sub_terrains)
+    begun = terrain.terrain_types.bincount(minlength=len(kinds))
+    state = {name: value.clone() for name, value in curriculum_state(env).items()}
+    for steps, change in ((0, 0), (150_000_000, 1)):
+        load_curriculum_state(env, state, steps)
+        env.curriculum_manager.compute(env_ids=torch.arange(24))
+        reached = terrain.terrain_types.bincount(minlength=len(kinds)) - begun
+        assert reached[kinds.index("gap")] >= change
+        assert reached[kinds.index("rough")] <= -change
+        assert reached.any() == bool(change)
 
 
 @pytest.mark.parametrize("kind", tiles())

@@ -25,9 +25,10 @@ PHASES = {"walk": 12, "climb": 40, "cross": 150, "practise": 205, "settle": 230}
 """Millions of environment steps at which each phase of a run ends.
 
 In the first phase robots learn a gait. In the second they learn to follow velocities in all
-directions, and penalties fade that teach the gait but cost more than climbing earns. The third, which is the longest, is for crossing obstacles. In the fourth
-robots practise what they have met too seldom: standing, and narrow gaps that they saw only briefly.
-In the last one learning rates fall, so that the weights settle.
+directions, and penalties fade that teach the gait but cost more than climbing earns. The third,
+which is the longest, is for crossing obstacles. In the fourth robots practise what they have met
+too seldom: standing, and narrow gaps that they saw only briefly. In the last one learning rates
+fall, so that the weights settle.
 """
 
 
@@ -191,11 +192,18 @@ def set_tiles(env: RenetEnvCfg) -> None:
     assert terrain is not None
     assert terrain.terrain_generator is not None
     tiles = dense_tiles() | barriers()
-    # Velocities are learned on rough ground.
     shares = {"rough": 5.0, "stairs_up": 1.5, "gap": 2.0, "platform": 2.0}
     shares |= {"wall": 0.5, "ledge": 0.5}
     for kind, share in shares.items():
         tiles[kind].proportion = share
+    # Velocities are learned on rough ground. Robots that follow them need less of it.
+    later = {
+        "rough": over_phases(5.0, 5.0, 3.0, 3.0, 3.0),
+        "gap": over_phases(2.0, 2.0, 3.0, 3.0, 3.0),
+        "platform": over_phases(2.0, 2.0, 3.0, 3.0, 3.0),
+    }
+    params = {"shares": later}
+    env.curriculum["tile_shares"] = CurriculumTermCfg(func=mdp.tile_shares, params=params)
     terrain.terrain_generator.sub_terrains = cast(Any, tiles)
     # Level 0 is flat.
     terrain.max_init_terrain_level = 0

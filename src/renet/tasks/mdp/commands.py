@@ -255,12 +255,18 @@ class DriveCommand(GoalCommand):
         """Share of new velocities that robots are given at once (see `DriveCommandCfg`)."""
         self.fixed_twist: Tensor | None = None
         """Twist that each robot follows in evaluation from its next episode on, [N, 3], or None."""
-        self._free_share = torch.zeros(self.num_envs, device=self.device)
-        for kind, share in cfg.free_shares.items():
-            self._free_share[on_tiles(env, kind)] = share
-        terrain = env.scene.terrain
+
+    @property
+    def _free_share(self) -> Tensor:
+        """Share of commands that are velocities, of each robot on its tile, [N]."""
+        terrain = self._env.scene.terrain
         if terrain is None or terrain.cfg.terrain_generator is None:
-            self._free_share[:] = cfg.free_shares.get(PLANE, 0.0)
+            plane = self.cfg.free_shares.get(PLANE, 0.0)
+            return torch.full((self.num_envs,), plane, device=self.device)
+        share = torch.zeros(self.num_envs, device=self.device)
+        for kind, value in self.cfg.free_shares.items():
+            share = share.masked_fill(on_tiles(self._env, kind), value)
+        return share
 
     @property
     def direction(self) -> Tensor:

@@ -176,6 +176,67 @@ class TerrainLevels:
         return {kind: level for kind, level in by_kind.items() if kind not in BARRIERS}
 
 
+def tile_shares(
+    env: ManagerBasedRlEnv, env_ids: Tensor, shares: dict[str, Schedule]
+) -> dict[str, Tensor]:
+    """Move robots whose episodes end from kinds of tile with too many robots to kinds with too few.
+
+    A robot that is moved takes the level of a random robot on its new kind. This term must come
+    after `TerrainLevels`, which knows the levels. On a GPU nothing here waits for the device.
+
+    Args:
+        env: The environment.
+        env_ids: Robots whose episodes end, [E].
+        shares: Proportion of the robots on kinds of tile, a schedule by name. Other kinds keep the
+            proportion of their configuration.
+
+    Returns:
+        Share of all robots on each of these kinds, for the log.
+    """
+    terrain = tile_terrain(env)
+    tiles = terrain.cfg.terrain_generator.sub_terrains
+    kinds = terrain.terrain_types
+    levels = _levels(env)
+    steps = environment_steps(env)
+
+    # Whole robots that each kind has too many or too few.
+    proportions = []
+    for kind, tile in tiles.items():
+        share = value_at(shares[kind], steps) if kind in shares else tile.proportion
+        # A tensor of a list would be copied from the host.
+        proportions.append(torch.full((), share, device=env.device))
+    wanted = torch.stack(proportions)
+    wanted = wanted / wanted.sum() * env.num_envs
+    every_kind = torch.arange(len(tiles), device=env.device)
+    is_there = kinds == every_kind.unsqueeze(-1)
+    count = is_there.sum(-1)
+    surplus = (count - wanted).floor()
+    lack = (wanted - count).floor().clamp_min(0.0)
+
+    # Of each kind the first robots whose episodes end leave, and fill one kind after the other.
+    old = kinds[env_ids]
+    rank = (old.unsqueeze(-1) == every_kind).cumsum(0).gather(1, old.unsqueeze(-1)).squeeze(-1)
+    leaves = rank <= surplus[old]
+    number = leaves.cumsum(0).to(lack.dtype)
+    new = torch.searchsorted(lack.cumsum(0), number)
+    moves = leaves & (new < len(tiles))
+    new = torch.where(moves, new.clamp_max(len(tiles) - 1), old)
+
+    # They take the level of a random robot there, the same for all that move at once.
+    chance = torch.rand(env.num_envs, device=env.device)
+    host = torch.where(is_there, chance, -1.0).argmax(-1)[new]
+    level = torch.where(moves, levels.levels[host], levels.levels[env_ids])
+    levels.levels[env_ids] = level
+    levels.passed[env_ids] = torch.where(moves, levels.passed[host], levels.passed[env_ids])
+    tile_level = torch.where(moves, level, terrain.terrain_levels[env_ids])
+    kinds[env_ids] = new
+    terrain.terrain_levels[env_ids] = tile_level
+    terrain.env_origins[env_ids] = terrain.terrain_origins[tile_level, new]
+
+    reached = (kinds == every_kind.unsqueeze(-1)).sum(-1) / env.num_envs
+    return {kind: share for kind, share in zip(tiles, reached, strict=True) if kind in shares}
+
+
 def on_easier_tile(env: ManagerBasedRlEnv) -> Tensor:
     """1 on a tile below the robot's level, [N, 1]."""
     # mjlab computes observations once before it creates this manager.
@@ -283,6 +344,10 @@ def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], step
     term = _levels(env)
     terrain = tile_terrain(env)
     kinds = state["kinds"].to(env.device)
+
+    # Robots that went to other kinds of tile stay there.
+    if "tile_shares" in terms and len(kinds) == env.num_envs:
+        terrain.terrain_types[:] = kinds
 
     # For each robot, a robot of the state on the same kind of tile.
     source = torch.arange(env.num_envs, device=env.device)
