@@ -73,7 +73,9 @@ def draw(table: list[dict[str, str]]) -> None:
     labels = list(dict.fromkeys(row["run"] for row in table))
     runs = dict.fromkeys((row["run"], row["seed"]) for row in table)
     with plt.rc_context(figures.STYLE):
-        figure, axes = plt.subplots(3, 2, figsize=(figures.WIDTH, 7.0), sharex=True, sharey=True)
+        figure, axes = plt.subplots(
+            3, 2, figsize=(figures.FIGURE_WIDTH, 7.0), sharex=True, sharey=True
+        )
         for axis, kind in zip(axes.flat, tiles(), strict=True):
             for label, seed in runs:
                 curve = [row for row in table if (row["run"], row["seed"]) == (label, seed)]

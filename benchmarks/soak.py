@@ -436,7 +436,9 @@ def plot(results: dict[str, Any], path: Path) -> None:
     rows = results["by_minute"]
     minutes = range(1, len(rows) + 1)
     with plt.rc_context(figures.STYLE):
-        figure, axes = plt.subplots(len(panels), 1, figsize=(figures.WIDTH, 8.0), sharex=True)
+        figure, axes = plt.subplots(
+            len(panels), 1, figsize=(figures.FIGURE_WIDTH, 8.0), sharex=True
+        )
         for axis, (label, names) in zip(axes, panels.items(), strict=True):
             most = 0.0
             for name in names:

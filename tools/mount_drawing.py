@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from renet.bundle import SHIPPED, Bundle
 from renet.bundle.manifest import CameraSpec, RobotSpec
-from renet.evaluation.figures import CARD
+from renet.evaluation.figures import BACKGROUND
 from renet.files import write_atomically
 from renet.interface import JOINTS, TRUNK
 from renet.robots import find_robot
@@ -38,7 +38,7 @@ def draw(bundle: Bundle) -> bytes:
     camera, robot = bundle.manifest.camera, bundle.manifest.robot
     shapes, trunk = robot_shapes(robot)
     x, y, z = camera.position
-    figure = Figure(figsize=(10, 3.2), layout="constrained", facecolor=CARD)
+    figure = Figure(figsize=(10, 3.2), layout="constrained", facecolor=BACKGROUND)
     side, above = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
     for axis, (first, second) in ((side, (0, 2)), (above, (0, 1))):
         for points in shapes:

@@ -28,7 +28,7 @@ def test_a_figure_is_a_card_whose_corners_show_the_page(tmp_path):
         path = figures.save_figure(figure, tmp_path / "card.png", Provenance("b", "0", "native", 1))
     picture = np.asarray(Image.open(path))
     edges = picture[:, 0], picture[:, -1], picture[0], picture[-1]
-    card = [*ImageColor.getrgb(figures.CARD), 255]
+    card = [*ImageColor.getrgb(figures.BACKGROUND), 255]
     for edge in edges:
         assert edge[0, 3] == edge[-1, 3] == 0
         assert (edge[40:-40] == card).all()
@@ -39,7 +39,7 @@ def test_a_long_last_line_is_within_the_figure():
         "b", "0" * 64, "native", 1, command="renet evaluate " + "--modes camera " * 12
     )
     with plt.rc_context(figures.STYLE):
-        figure, _ = plt.subplots(figsize=(figures.WIDTH, 2.0))
+        figure, _ = plt.subplots(figsize=(figures.FIGURE_WIDTH, 2.0))
         figures.add_footer(figure, long)
         figure.canvas.draw()
         right = figure._supxlabel.get_window_extent().x1  # type: ignore[attr-defined]

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from renet.terrain.course import (
+    COURSE_WIDTH,
     GROUND_BEFORE,
     OBSTACLES,
     PIT_DEPTH,
-    WIDTH,
     Blocks,
     Course,
     Gap,
@@ -29,7 +29,7 @@ COURSE = Course(obstacles=(Gap(0.6), UP, DOWN), spaces=(2.0, 1.0, 0.5))
 def scene(course):
     spec = mujoco.MjSpec()
     spec.worldbody.add_body(name="terrain")
-    course.size = (course.length, WIDTH)
+    course.size = (course.length, COURSE_WIDTH)
     course.function(0.0, spec, np.random.default_rng(99))
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -42,7 +42,7 @@ def heights(course, positions, aside=0.0):
     model, data = scene(course)
     found = []
     for position in positions:
-        above = np.array([GROUND_BEFORE + position, WIDTH / 2 + aside, 9.0])
+        above = np.array([GROUND_BEFORE + position, COURSE_WIDTH / 2 + aside, 9.0])
         ray = np.array([0.0, 0.0, -1.0])
         far = mujoco.mj_ray(model, data, above, ray, None, 1, -1, np.zeros(1, np.int32))
         found.append(9.0 - far)

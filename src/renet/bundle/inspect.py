@@ -16,9 +16,9 @@ ELEMENTS = {
     "base_angular_velocity": ("x", "y", "z"),
     "projected_gravity": ("x", "y", "z"),
 }
-"""Names of the numbers of a term. The command's are `COMMAND`; every other term has one number for
-each joint."""
-COMMAND: dict[Told, tuple[str, ...]] = {
+"""Names of the numbers of a term. The command's are `COMMAND_ELEMENTS`; every other term has one
+number for each joint."""
+COMMAND_ELEMENTS: dict[Told, tuple[str, ...]] = {
     "heading": ("c_x", "sin(c_yaw - yaw)", "cos(c_yaw - yaw)"),
     "twist": ("v_x", "v_y", "omega_z"),
 }
@@ -115,7 +115,7 @@ def joint_rows(robot: RobotSpec) -> list[tuple[int | str, ...]]:
 def input_rows(manifest: Manifest) -> list[tuple[int | str, ...]]:
     """Return index, name, unit and scale of every number of the proprioception o_t."""
     rows = []
-    elements = ELEMENTS | {"command": COMMAND[manifest.told]}
+    elements = ELEMENTS | {"command": COMMAND_ELEMENTS[manifest.told]}
     for term in manifest.proprioception:
         for element in elements.get(term.name, manifest.robot.joints):
             rows.append((len(rows), f"{term.name} {element}", term.unit, f"{term.scale:g}"))

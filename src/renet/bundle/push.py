@@ -8,7 +8,7 @@ import tyro
 
 from renet.bundle import Bundle
 from renet.bundle.card import card
-from renet.bundle.contents import CARD, SHARED
+from renet.bundle.contents import CARD_FILE, SHARED
 from renet.bundle.hub import REPOSITORY, first_line, library
 from renet.errors import RenetError
 
@@ -48,9 +48,9 @@ def push(cfg: PushCfg) -> str:
     present = [name for name in SHARED if (bundle.path / name).is_file()]
     message = cfg.message or f"Bundle {bundle.name} {bundle.sha256[:12]}"
     operations = [hub.CommitOperationAdd(name, str(bundle.path / name)) for name in present]
-    if CARD not in present:
+    if CARD_FILE not in present:
         text = card(bundle, [], "apache-2.0").encode()
-        operations.append(hub.CommitOperationAdd(CARD, text))
+        operations.append(hub.CommitOperationAdd(CARD_FILE, text))
     api = hub.HfApi()
     # One commit holds all files, so that nobody loads half a bundle.
     try:

@@ -39,11 +39,11 @@ INK = "#222730"
 """Colour of text and lines."""
 FAINT = "#69707b"
 """Colour of what is less important."""
-CARD = "#f6f7f9"
+BACKGROUND = "#f6f7f9"
 """Colour of a figure's background, and that of the drawings of the documents."""
 _CORNER = 0.08
 """Radius of a figure's corners, inches."""
-WIDTH = 5.6
+FIGURE_WIDTH = 5.6
 """Width of a figure of several panels, inches: on a telephone its letters are 9 pixels high."""
 _FOOTER_LETTERS = 19
 """Letters of a figure's last line in an inch."""
@@ -56,7 +56,7 @@ MODE_COLOURS = {
 }
 
 STYLE: dict[Any, Any] = {
-    "figure.facecolor": CARD,
+    "figure.facecolor": BACKGROUND,
     "axes.facecolor": "none",
     "figure.constrained_layout.use": True,
     "font.size": 10,
@@ -110,7 +110,7 @@ def _round_corners(figure: Figure) -> None:
         *figure.get_size_inches(),
         boxstyle=f"round,pad=0,rounding_size={_CORNER}",
         transform=figure.dpi_scale_trans,
-        facecolor=CARD,
+        facecolor=BACKGROUND,
         linewidth=0,
         zorder=-1,
     )
@@ -151,7 +151,7 @@ def speed_over_time(
         onset: time at which the noise begins, s.
         command: commanded speed, m/s.
     """
-    size = (WIDTH, 2.6 * len(curves) + 1.0)
+    size = (FIGURE_WIDTH, 2.6 * len(curves) + 1.0)
     figure, axes = plt.subplots(
         len(curves), 1, figsize=size, sharex=True, sharey=True, squeeze=False
     )
@@ -267,7 +267,7 @@ def share_panels(
     """
     columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
-    size = (WIDTH, 1.75 * rows + 0.9)
+    size = (FIGURE_WIDTH, 1.75 * rows + 0.9)
     figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
     for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):
         places = list(dict.fromkeys(map(tick, runs)))

@@ -34,7 +34,7 @@ inaccurate."""
 END_STOP = 0.2
 """Time for which a joint is left out after a target beyond its limits, s: its end stop, or the
 vendor's own limit, holds it then rather than its motor."""
-BLOCK = 1.0
+BLOCK_DURATION = 1.0
 """Duration of blocks of errors that count as independent of each other, s."""
 LEAST_MOTION = 0.05
 """Smallest range of a joint's motion from which its motor can be fitted, rad."""
@@ -131,7 +131,7 @@ class MotorFitter:
         motors = result.x.reshape(groups, -1)
         free = (motors > least + AT_LEAST * scale).ravel()
         error = np.full(free.size, np.nan)
-        block = max(1, round(BLOCK / self._log.period)) * len(JOINTS)
+        block = max(1, round(BLOCK_DURATION / self._log.period)) * len(JOINTS)
         error[free] = standard_error(result.fun, result.jac[:, free], block)
         return Fit(motors, error.reshape(groups, -1), self._iterations)
 

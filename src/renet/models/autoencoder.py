@@ -15,7 +15,7 @@ BOTTLENECK = 32
 """Width of the bottleneck of the paper's detector."""
 SPATIAL_BOTTLENECK = 4
 """Channels of the bottleneck of the variance detector, at an eighth of the image's resolution."""
-LOG_VARIANCE = (-10.0, 2.0)
+PIXEL_LOG_VARIANCE = (-10.0, 2.0)
 """Smallest and largest predicted log variance of a pixel; images are in [0, 1]."""
 
 
@@ -71,7 +71,7 @@ class DepthAutoencoder(nn.Module):
         if self.detector != "variance":
             return output + 0.5, None
         reconstruction = output[:, :FRAMES] + 0.5
-        log_variance = output[:, FRAMES:].clamp(*LOG_VARIANCE)
+        log_variance = output[:, FRAMES:].clamp(*PIXEL_LOG_VARIANCE)
         return reconstruction, log_variance
 
     def loss(self, depth: Tensor) -> dict[str, Tensor]:

@@ -24,7 +24,7 @@ from renet.models.config import ModelCfg
 
 EMBEDDING = 64
 """Width of every embedded vector."""
-FIRST_LOG_VARIANCE = -5.0
+FIRST_MAP_LOG_VARIANCE = -5.0
 """Log variance of the height map's error before training: 8 cm."""
 TOKEN = 16
 """Width of the attention's tokens, four to an embedded vector."""
@@ -208,7 +208,7 @@ class VPEstimator(Estimator):
             self.far_map_head = mlp((LATENT, LATENT, FAR_MAP_SIZE))
         if cfg.predict_map_error and cfg.predict_height_map:
             self.map_error_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE))
-            nn.init.constant_(self.map_error_head[-1].bias, FIRST_LOG_VARIANCE)  # type: ignore[arg-type]
+            nn.init.constant_(self.map_error_head[-1].bias, FIRST_MAP_LOG_VARIANCE)  # type: ignore[arg-type]
 
     def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
         """Encode the inputs of a tick to [B, 64]; a withheld image has an embedding of zero."""

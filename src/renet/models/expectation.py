@@ -13,9 +13,9 @@ from torch import Tensor, nn
 
 from renet.interface import DEPTH_SHAPE, LATENT, PROPRIOCEPTION_SIZE
 
-BLOCK = 4
+BLOCK_SIDE = 4
 """Side of the blocks of pixels whose mean depth is expected, pixels."""
-BLOCKS = DEPTH_SHAPE[0] * DEPTH_SHAPE[1] // BLOCK**2
+BLOCKS = DEPTH_SHAPE[0] * DEPTH_SHAPE[1] // BLOCK_SIDE**2
 """Number of blocks of an image."""
 STEPS_BACK = (0, 5, 8)
 """Ages of the proprioceptions that are read, control steps: now, at the tick before, and when an
@@ -26,9 +26,9 @@ HIDDEN = 160
 """Width of the hidden layers. Wider ones would make a bundle larger than 3 MB."""
 FREEDOM = 4.0
 """Degrees of freedom of the errors' distribution."""
-FIRST_LOG_VARIANCE = -5.0
+FIRST_BLOCK_LOG_VARIANCE = -5.0
 """Log variance of a block's error before training: 16 cm of 2 m."""
-LOG_VARIANCE = (-8.0, -3.0)
+BLOCK_LOG_VARIANCE = (-8.0, -3.0)
 """Smallest and largest predicted log variance of a block's error; depths are in [0, 1]."""
 
 
@@ -48,7 +48,7 @@ class Recollection(NamedTuple):
 def mean_blocks(image: Tensor) -> Tensor:
     """Compute the mean depth of each block of images, [..., 48, 64] to [..., 192]."""
     rows, columns = DEPTH_SHAPE
-    means = F.avg_pool2d(image.reshape(-1, 1, rows, columns), BLOCK)
+    means = F.avg_pool2d(image.reshape(-1, 1, rows, columns), BLOCK_SIDE)
     return means.reshape(*image.shape[:-2], BLOCKS)
 
 
@@ -84,7 +84,9 @@ class ImageExpectation(nn.Module):
         # Blocks around zero rather than around a half.
         output = self.change(torch.cat((motion, known.blocks - 0.5), dim=-1))
         change, log_variance = output.chunk(2, dim=-1)
-        return known.blocks + change, (FIRST_LOG_VARIANCE + log_variance).clamp(*LOG_VARIANCE)
+        return known.blocks + change, (FIRST_BLOCK_LOG_VARIANCE + log_variance).clamp(
+            *BLOCK_LOG_VARIANCE
+        )
 
     def loss(self, known: Recollection, blocks: Tensor) -> Tensor:
         """Compute the mean negative log-likelihood of each image's blocks, [N], up to a constant.

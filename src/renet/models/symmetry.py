@@ -15,7 +15,7 @@ VECTOR = (1.0, -1.0, 1.0)
 """Signs of a vector in the mirror: its part along y changes its direction."""
 ROTATION = (-1.0, 1.0, -1.0)
 """Signs of an angular velocity in the mirror: rotation about y keeps its direction."""
-TWIST = (1.0, -1.0, -1.0)
+MIRRORED_TWIST = (1.0, -1.0, -1.0)
 """Signs of a command (v_x, v_y, omega_z) in the mirror; those of a heading (c_x, sin e, cos e)
 would be others."""
 
@@ -37,7 +37,7 @@ def _proprioception_mirror() -> tuple[list[int], list[float]]:
     signs_of = {
         "base_angular_velocity": ROTATION,
         "projected_gravity": VECTOR,
-        "command": TWIST,
+        "command": MIRRORED_TWIST,
     }
     order: list[int] = []
     signs: list[float] = []

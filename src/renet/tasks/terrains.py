@@ -9,7 +9,7 @@ from mjlab.terrains import SubTerrainCfg, TerrainEntityCfg, TerrainGeneratorCfg
 from renet.errors import RenetError
 from renet.interface import OWN_GROUND
 from renet.options import NO_TILES, check_share
-from renet.terrain.course import WIDTH, Course
+from renet.terrain.course import COURSE_WIDTH, Course
 from renet.terrain.tiles import LEVELS, TILE, Tile, find_tile, tiles
 
 # mjlab's command line accepts only its subclasses; `Tile` itself must not import mjlab.
@@ -73,7 +73,7 @@ def course_row(courses: Mapping[str, Course]) -> TerrainEntityCfg:
     """
     generator = TerrainGeneratorCfg(
         curriculum=True,
-        size=(max(course.length for course in courses.values()), WIDTH),
+        size=(max(course.length for course in courses.values()), COURSE_WIDTH),
         border_width=TILE,
         num_rows=1,
         color_scheme="none",

@@ -32,7 +32,7 @@ from renet.terrain.tiles import (
     TileGeom,
 )
 
-WIDTH = 18.0
+COURSE_WIDTH = 18.0
 """Width of a course, m. It is wide because robots do not walk straight."""
 GROUND_BEFORE = 1.0
 """Ground behind the start, m."""
@@ -55,16 +55,16 @@ class Strip(TileBuilder):
             spec: Scene of the tile.
             bottom: Height of the lower faces of all ground, m.
         """
-        super().__init__(spec, (GROUND_BEFORE, WIDTH / 2))
+        super().__init__(spec, (GROUND_BEFORE, COURSE_WIDTH / 2))
         self.bottom = bottom
 
     def ground(self, start: float, end: float, top: float, color: Color = STONE) -> None:
         """Add ground over the whole width, between two x, with its surface at `top`, m."""
-        self.box((start, end), (-WIDTH / 2, WIDTH / 2), (self.bottom, top), color)
+        self.box((start, end), (-COURSE_WIDTH / 2, COURSE_WIDTH / 2), (self.bottom, top), color)
 
     def obstacle(self, x: Range, z: Range, color: Color = ACCENT, y: Range | None = None) -> None:
         """Add a box on the ground, given its ranges in m; by default it has the whole width."""
-        box = self.box(x, y or (-WIDTH / 2, WIDTH / 2), z, color)
+        box = self.box(x, y or (-COURSE_WIDTH / 2, COURSE_WIDTH / 2), z, color)
         box.group = OBSTACLE_GROUP
 
     def slab(self, start: tuple[float, float], end: tuple[float, float], thick: float) -> None:
@@ -84,7 +84,7 @@ class Strip(TileBuilder):
         z = (start[1] + end[1]) / 2 - thick / 2 * math.cos(angle)
         geom = self.body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=(math.hypot(run, rise) / 2, WIDTH / 2, thick / 2),
+            size=(math.hypot(run, rise) / 2, COURSE_WIDTH / 2, thick / 2),
             pos=(self.origin[0] + x, self.origin[1], z),
             quat=(math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0),
             rgba=STONE,
@@ -246,10 +246,10 @@ class Blocks(Stretch):
     def build(self, strip: Strip, x: float, z: float, rng: np.random.Generator) -> None:
         """Add the blocks, on ground."""
         strip.ground(x, x + self.length, z)
-        for _ in range(round(self.density * WIDTH * self.length)):
+        for _ in range(round(self.density * COURSE_WIDTH * self.length)):
             half_x, half_y = rng.uniform(0.2, 0.5, 2)
             middle = x + rng.uniform(half_x, self.length - half_x)
-            aside = rng.uniform(-WIDTH / 2 + half_y, WIDTH / 2 - half_y)
+            aside = rng.uniform(-COURSE_WIDTH / 2 + half_y, COURSE_WIDTH / 2 - half_y)
             top = z + self.height * rng.uniform(0.5, 1.0)
             strip.obstacle(
                 (middle - half_x, middle + half_x),
@@ -382,4 +382,4 @@ class Course(Tile):
             height = z + obstacle.climb
         # A course beside a longer one has ground up to the end of its tile.
         strip.ground(position, self.size[0] - GROUND_BEFORE, height)
-        return BuiltTile(np.array([GROUND_BEFORE, WIDTH / 2, 0.0]), strip.geometries)
+        return BuiltTile(np.array([GROUND_BEFORE, COURSE_WIDTH / 2, 0.0]), strip.geometries)

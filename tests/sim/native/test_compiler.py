@@ -65,10 +65,10 @@ def test_wrong_fields_are_refused():
     with pytest.raises(KeyError, match="Nothing"):
         SOURCE.struct("Nothing")
     with pytest.raises(KeyError, match="fields other than"):
-        rasterizer.SOURCE.struct("Box")  # It has arrays.
+        rasterizer.RASTERIZER_SOURCE.struct("Box")  # It has arrays.
 
 
-@pytest.mark.parametrize("source", [engine.SOURCE, rasterizer.SOURCE])
+@pytest.mark.parametrize("source", [engine.ENGINE_SOURCE, rasterizer.RASTERIZER_SOURCE])
 def test_no_c_function_is_longer_than_a_screen(source):
     """50 lines, from its name to its closing brace."""
     bodies = source.text.split("\nstatic ")[1:]

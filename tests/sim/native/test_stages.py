@@ -87,7 +87,7 @@ def test_world_sensors_get_whole_model():
         (mujoco, "__version__", "3.99.1", r"3\.99\.1: it knows versions 3\.11"),
         (mujoco, "__file__", "empty/__init__.py", "no MuJoCo library in"),
         (mujoco, "__file__", "broken/__init__.py", "dylib"),
-        (mujoco_memory, "SIZES", 1, "mjModel.nbody is not among"),
+        (mujoco_memory, "NUM_SIZES", 1, "mjModel.nbody is not among"),
         (stages, "CONTACTS", stages.CONTACTS[:2], "its stages do not make its step"),
     ],
 )

@@ -28,7 +28,7 @@ from renet.tasks import RenetEnvCfg
 from renet.tasks.mdp.commands import goal
 from renet.tasks.parkour_env_cfg import parkour_env_cfg, randomize, tile_env_cfg
 from renet.tasks.terrains import course_row
-from renet.terrain.course import WIDTH, Course
+from renet.terrain.course import COURSE_WIDTH, Course
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -174,7 +174,7 @@ class CourseEnv:
         self._measure(result, fell, np.abs(result.forward_velocity - commanded))
         # An episode is over after a fall, at the course's end, after its time, or off the course.
         late = self.walk.seconds >= self._limit - CONTROL_DT / 2
-        left = np.abs(aside) > WIDTH / 2 - _SIDE_MARGIN
+        left = np.abs(aside) > COURSE_WIDTH / 2 - _SIDE_MARGIN
         self._over |= result.ended | fell | self.walk.arrived | late | left
         self._steer()
         return replace(result, fell=fell, ended=self._over.copy())

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Edge = Literal["gap", "stairs_up", "stairs_down"]
 """Kinds of tile whose edges robots are to leave."""
-SIZES: Mapping[Edge, float] = {"gap": 0.57, "stairs_up": 0.23, "stairs_down": 0.23}
+EDGE_SIZES: Mapping[Edge, float] = {"gap": 0.57, "stairs_up": 0.23, "stairs_down": 0.23}
 """Width of the gap and risers of the stairs, m."""
 _DISTANCE = 1.0
 """Distance to walk backward, m."""
@@ -58,8 +58,8 @@ class BackingStudy(WalkingStudy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.kinds or not {*self.kinds} <= {*SIZES}:
-            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(SIZES)}")
+        if not self.kinds or not {*self.kinds} <= {*EDGE_SIZES}:
+            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(EDGE_SIZES)}")
         if self.speed > MAX_REVERSE:
             raise RenetError(f"speed must be at most {MAX_REVERSE:g} m/s backward")
         if not 0.0 < self.from_edge <= min(EDGES[kind] for kind in self.kinds):
@@ -74,7 +74,7 @@ class BackingStudy(WalkingStudy):
         from renet.evaluation.motion import MotionSensor
         from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
-        tile = replace(tiles()[kind], low=SIZES[kind], high=SIZES[kind])
+        tile = replace(tiles()[kind], low=EDGE_SIZES[kind], high=EDGE_SIZES[kind])
         terrain = parkour_terrain(EVALUATION_SEED, {kind: tile}, levels=1)
         cfg = evaluator.terrain_env_cfg(terrain)
         place = EDGES[kind] - self.from_edge
@@ -104,7 +104,7 @@ class BackingStudy(WalkingStudy):
         for mode, group in zip(self.modes, robots, strict=True):
             run = {
                 "kind": kind,
-                "size_m": SIZES[kind],
+                "size_m": EDGE_SIZES[kind],
                 "mode": mode,
                 "robots": each,
                 "backed": int(backed[group].sum()),

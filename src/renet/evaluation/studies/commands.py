@@ -197,7 +197,7 @@ def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
 
 def asked_and_done(runs: list[dict[str, Any]], modes: tuple[str, ...]) -> Figure:
     """Figure of the velocities and turn rates asked for, as rings, and done, as dots."""
-    figure, (plane, turns) = plt.subplots(1, 2, figsize=(figures.WIDTH, 3.6))
+    figure, (plane, turns) = plt.subplots(1, 2, figsize=(figures.FIGURE_WIDTH, 3.6))
     for mode in modes:
         mine = [run for run in select(runs, mode=mode) if run["done"] is not None]
         if not mine:

@@ -155,7 +155,9 @@ class ReachStudy(WalkingStudy):
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure reach.png: shares that cross and fall, against the distance of the death."""
-        figure, axes = plt.subplots(2, 1, figsize=(figures.WIDTH, 5.0), sharex=True, sharey=True)
+        figure, axes = plt.subplots(
+            2, 1, figsize=(figures.FIGURE_WIDTH, 5.0), sharex=True, sharey=True
+        )
         single = select(summary["runs"], scene="gap")
         for axis, share in zip(axes, ("crossed", "fell"), strict=True):
             for number, ((conduct,), runs) in enumerate(group_by(single, "unseen").items()):

@@ -15,7 +15,7 @@ from renet.camera import Intrinsics
 from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.native.compiler import Source
 
-SOURCE = Source(Path(__file__).with_name("rasterizer.cpp"))
+RASTERIZER_SOURCE = Source(Path(__file__).with_name("rasterizer.cpp"))
 BIN = 0.25
 """Side of a bin, m: about a step of stairs."""
 WIDE = 20.0
@@ -42,7 +42,7 @@ class Rasterizer(TerrainScanner):
         middle = boxes[:, :3]
         low = np.concatenate((middle - reach[..., 0], triangles.min(1)))
         high = np.concatenate((middle + reach[..., 0], triangles.max(1)))
-        self._terrain = SOURCE.struct("Terrain")(
+        self._terrain = RASTERIZER_SOURCE.struct("Terrain")(
             boxes=np.ascontiguousarray(boxes, np.float32),
             num_boxes=len(boxes),
             triangles=np.ascontiguousarray(triangles, np.float32),
@@ -53,7 +53,7 @@ class Rasterizer(TerrainScanner):
         """Compute planar depth as `TerrainScanner.depth` does, [N, H * W] m, at most `limit`."""
         depth = torch.empty(len(position), lens.height * lens.width)
         left, up = lens.axes(np.float32)
-        argument = SOURCE.struct("Draw")(
+        argument = RASTERIZER_SOURCE.struct("Draw")(
             terrain=self._terrain,
             cameras=len(position),
             eyes=position.float().contiguous().numpy(),
@@ -65,13 +65,13 @@ class Rasterizer(TerrainScanner):
             limit=limit,
             images=depth.numpy(),
         )
-        SOURCE.call("draw", argument)
+        RASTERIZER_SOURCE.call("draw", argument)
         return depth
 
     def clearance(self, position: Tensor, rotation: Tensor | None, pattern: Tensor) -> Tensor:
         """Compute heights over the terrain as `TerrainScanner.clearance` does, [N, P] m."""
         clearance = torch.empty(len(position), len(pattern))
-        argument = SOURCE.struct("Scan")(
+        argument = RASTERIZER_SOURCE.struct("Scan")(
             terrain=self._terrain,
             frames=len(position),
             positions=position.float().contiguous().numpy(),
@@ -82,7 +82,7 @@ class Rasterizer(TerrainScanner):
             drop=self.drop,
             clearances=clearance.numpy(),
         )
-        SOURCE.call("scan", argument, alone=clearance.numel() < MIN_POINTS)
+        RASTERIZER_SOURCE.call("scan", argument, alone=clearance.numel() < MIN_POINTS)
         return clearance
 
 

@@ -42,7 +42,7 @@ from renet.sim.native.copy_tables import (
 from renet.sim.native.stages import stages_of
 from renet.sim.threads import THREADS
 
-SOURCE = Source(Path(__file__).with_name("engine.cpp"))
+ENGINE_SOURCE = Source(Path(__file__).with_name("engine.cpp"))
 
 RESET_TO_ZERO = (
     "qvel",
@@ -122,7 +122,7 @@ class Worker:
         time = FieldCopy(wp_data.time.numpy(), mujoco_memory.time(self.data))
         loads = [*self.state, time, *culling.load_masks(model), *self.fields]
         stores = [*self.stores, time]
-        return SOURCE.struct("Worker")(
+        return ENGINE_SOURCE.struct("Worker")(
             model=model._address,
             data=self.data._address,
             nbody=mujoco_memory.model_size(model, "nbody"),
@@ -143,7 +143,7 @@ class Worker:
 
 def _copies(copies: list[FieldCopy]) -> Any:
     """Build an array of the struct Copy of engine.cpp."""
-    struct = SOURCE.struct("Copy")
+    struct = ENGINE_SOURCE.struct("Copy")
     table = []
     for copy in copies:
         row = struct(
@@ -254,7 +254,7 @@ class NativeSimulation(Simulation):
         if key not in self._arguments:
             self._arguments[key] = self._argument(*key)
         # The state of few environments is written: a second thread would begin too late.
-        SOURCE.call("advance", self._arguments[key], alone=only_written)
+        ENGINE_SOURCE.call("advance", self._arguments[key], alone=only_written)
 
     def _prepare(self) -> None:
         """Build the workers, and drop the poses of the last step."""
@@ -266,7 +266,7 @@ class NativeSimulation(Simulation):
 
     def _argument(self, steps: int, derive: bool, only_written: bool) -> Struct:
         """Build the struct Advance of engine.cpp."""
-        struct = SOURCE.struct("Stage")
+        struct = ENGINE_SOURCE.struct("Stage")
         library = mujoco_memory.mujoco_library()
         driven = self._motors is not None
         table = []
@@ -282,16 +282,16 @@ class NativeSimulation(Simulation):
         if self._motors is not None:
             motors = self._motors.fields(self.wp_model.actuator_forcerange.numpy())
         pose = self._workers[0].pose
-        return SOURCE.struct("Advance")(
+        return ENGINE_SOURCE.struct("Advance")(
             environments=self.num_envs,
             stages=(struct * len(table))(*table),
             num_stages=len(table),
             derives=derive or not steps,
             only_written=only_written,
             at_rest=self.at_rest,
-            culling=SOURCE.struct("Culling")(**self.culling.fields),
-            motors=SOURCE.struct("Motors")(**motors),
-            workers=(SOURCE.struct("Worker") * len(self._structs))(*self._structs),
+            culling=ENGINE_SOURCE.struct("Culling")(**self.culling.fields),
+            motors=ENGINE_SOURCE.struct("Motors")(**motors),
+            workers=(ENGINE_SOURCE.struct("Worker") * len(self._structs))(*self._structs),
             pose=_copies(pose),
             num_pose=len(pose),
             last_pose=self._last_pose,

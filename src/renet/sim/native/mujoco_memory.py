@@ -13,7 +13,7 @@ import numpy as np
 
 VERSION = "3.11."
 """Prefix of the versions of MuJoCo that this module is tested with."""
-SIZES = 32
+NUM_SIZES = 32
 """Number of integers at the beginning of mjModel, among which are nbody and ngeom."""
 
 
@@ -33,7 +33,7 @@ def model_size(model: mujoco.MjModel, name: str) -> ctypes.c_int64:
     Raises:
         LookupError: The number is not there.
     """
-    sizes = (ctypes.c_int64 * SIZES).from_address(model._address)
+    sizes = (ctypes.c_int64 * NUM_SIZES).from_address(model._address)
     value = getattr(model, name)
     candidates = [index for index, size in enumerate(sizes) if size == value]
     for index in candidates:
@@ -43,7 +43,7 @@ def model_size(model: mujoco.MjModel, name: str) -> ctypes.c_int64:
         sizes[index] -= 1
         if is_field:
             return ctypes.c_int64.from_address(model._address + 8 * index)
-    raise LookupError(f"mjModel.{name} is not among its first {SIZES} numbers")
+    raise LookupError(f"mjModel.{name} is not among its first {NUM_SIZES} numbers")
 
 
 def time(data: mujoco.MjData) -> np.ndarray:
