@@ -181,6 +181,10 @@ def black(label: str, studies: tuple[str, ...] = ("blackout_on_the_way", "blacko
 def reach(label: str) -> list[str]:
     """Robots that cross, fall and stand whose camera dies before gaps, by their conduct."""
     runs = [run for run in result("reach")["runs"] if run["scene"] == "two gaps"]
+    conducts = ("walk", "slow", "stop")
+    if label == "of them at the second gap":
+        fell = {run["unseen"]: run["fell_at_second"] for run in runs}
+        return [f"{fell[conduct]} fall" for conduct in conducts]
     if label != "before two gaps":
         metres = float(label.split(" m ")[0])
         runs = [
@@ -189,7 +193,7 @@ def reach(label: str) -> list[str]:
             if run["scene"] == "gap" and run["metres"] == metres
         ]
     ends = {run["unseen"]: (run["crossed"], run["fell"], run["stood"]) for run in runs}
-    return [" / ".join(map(str, ends[conduct])) for conduct in ("walk", "slow", "stop")]
+    return [" / ".join(map(str, ends[conduct])) for conduct in conducts]
 
 
 def one_try(_label: str) -> list[str]:

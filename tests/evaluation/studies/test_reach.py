@@ -3,7 +3,8 @@
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.studies.reach import ReachStudy
+from renet.evaluation.studies.reach import ReachStudy, single_gap
+from renet.evaluation.trace import Trace
 from renet.terrain.tiles import TILE
 
 
@@ -24,6 +25,20 @@ def test_a_robot_that_stops_does_not_fall_into_a_gap_it_never_saw(tmp_path):
         assert run["crossed"] + run["fell"] + run["stood"] == 4
         assert run["measured_m"] == pytest.approx(1.35, abs=0.1)
     assert (tmp_path / "reach.png").stat().st_size > 10_000
+
+
+def test_falls_at_the_second_gap_are_told_from_those_at_the_first():
+    study = ReachStudy()
+    gap = study.two_gaps
+    # Edges of the gaps, from the start: 1.3 to 1.87 m, and 3.07 m.
+    distances = (1.6, 2.4, 2.6, 3.2)
+    trace = Trace.empty(200, len(distances) + 1)
+    trace.travelled[:150, : len(distances)] = distances
+    trace.fell[150, : len(distances)] = True
+    trace.ended[150] = True
+    row = study._row(trace, gap)
+    assert (row["crossed"], row["fell"], row["fell_at_second"]) == (1, 4, 2)
+    assert study._row(trace, single_gap(0.37, 0.8))["fell_at_second"] == 0
 
 
 def test_both_gaps_fit_on_the_tile():

@@ -140,11 +140,13 @@ class ReachStudy(WalkingStudy):
         crossed, fell, _ = trace.first_try()
         # The camera dies at a time, so robots are not exactly where the settings say.
         from_edge = gap.island - trace.travelled[self.onset]
+        at_second = fell & (_last_distance(trace) > _second_gap(gap))
         return {
             "measured_m": float(from_edge.mean()),
             "robots": len(crossed),
             "crossed": int(crossed.sum()),
             "fell": int(fell.sum()),
+            "fell_at_second": int(at_second.sum()),
             "stood": int((~crossed & ~fell).sum()),
             "crossed_rate": float(crossed.mean()),
             "fell_rate": float(fell.mean()),
@@ -185,11 +187,11 @@ class ReachStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Counts by scene, distance and conduct."""
-        header = ("scene", "dead at (m)", "at the end", "crossed", "fell", "stood")
+        header = ("scene", "dead at (m)", "at the end", "crossed", "fell", "at the second", "stood")
         rows = []
         for run in summary["runs"]:
             at = f"{run['measured_m']:.2f}"
-            counts = (run["crossed"], run["fell"], run["stood"])
+            counts = (run["crossed"], run["fell"], run["fell_at_second"], run["stood"])
             rows.append((run["scene"], at, run["unseen"], *counts))
         return [(f"Cameras that die before a gap, {self.robots_each} robots each", header, rows)]
 
@@ -197,3 +199,20 @@ class ReachStudy(WalkingStudy):
 def single_gap(width: float, metres: float) -> GapTile:
     """Tile with one gap whose edge is `metres` beyond the run-up, m."""
     return GapTile(low=width, high=width, island=_RUN_UP + metres)
+
+
+def _second_gap(gap: GapTile) -> float:
+    """Distance from the start beyond which a robot is on its way into the second gap, m.
+
+    It is the middle of the ground between the gaps, and infinite if there is a single one.
+    """
+    if gap.ground is None:
+        return np.inf
+    return gap.island + gap.high + gap.ground / 2.0
+
+
+def _last_distance(trace: Trace) -> np.ndarray:
+    """Distance from the start at which the first tries ended, [N] m; of no use if they did not."""
+    # In the step in which a try ends the robot is at its next start already.
+    before = np.maximum(trace.over.argmax(axis=0) - 1, 0)
+    return trace.travelled[before, np.arange(len(before))]
