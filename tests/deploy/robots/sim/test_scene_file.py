@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from renet.deploy.robots.sim import scene_file
 from renet.deploy.robots.sim.concavity import hollow
 from renet.deploy.robots.sim.mujoco import SEEN_GROUPS
 from renet.deploy.robots.sim.scene import build_scene
@@ -48,6 +49,13 @@ def scene(tmp_path, body, asset=""):
     file = tmp_path / "scene.xml"
     file.write_text(f"<mujoco>{asset}<worldbody>{body}</worldbody></mujoco>")
     return file
+
+
+def test_a_file_of_another_kind_is_refused_without_a_trial(tmp_path, monkeypatch):
+    monkeypatch.setattr(scene_file, "run_trial", lambda *arguments: pytest.fail("a trial"))
+    file = scene(tmp_path, PLANE).rename(tmp_path / "scene.usd")
+    with pytest.raises(RenetError, match=r"scene\.usd is no MJCF: give an \.xml file"):
+        build_scene(file=file)
 
 
 def test_a_pit_in_one_mesh_is_refused(tmp_path):

@@ -15,7 +15,7 @@ from renet.errors import RenetError
 from renet.files import require_regular
 from renet.robots import Robot
 from renet.robots.model import simulation_model
-from renet.terrain.own_ground import MAX_SCENE, TOUCHED, ground_height
+from renet.terrain.own_ground import MAX_SCENE, SCENE, TOUCHED, ground_height
 from renet.trial import judge, run_trial
 
 SEEN_GROUP = 0
@@ -30,11 +30,6 @@ def attach_scene(spec: mujoco.MjSpec, file: Path) -> None:
     Raises:
         RenetError: The file is not an MJCF that MuJoCo reads, or something in it moves.
     """
-    if file.suffix.lower() != ".xml":
-        raise RenetError(
-            f"{file.name} is no MJCF: give an .xml file, in which meshes may be, or a "
-            "height map (.npy, .png)"
-        )
     try:
         scene = mujoco.MjSpec.from_file(str(file))
         if scene.joints:
@@ -69,6 +64,12 @@ def show_what_collides(scene: mujoco.MjSpec) -> None:
 def try_scene(file: Path, robot: Robot) -> None:
     """Raise RenetError unless a robot can stand in a scene, which is not loaded in this process."""
     require_regular(file, MAX_SCENE, "scene")
+    # Nor is a process started for what its name already tells.
+    if file.suffix.lower() != SCENE:
+        raise RenetError(
+            f"cannot use the scene {file}: {file.name} is no MJCF: give an .xml file, in which "
+            "meshes may be, or a height map (.npy, .png)"
+        )
     arguments = [str(file), simulation_model(robot).to_xml(), str(robot.height)]
     run_trial("renet.deploy.robots.sim.scene_file", arguments, f"cannot use the scene {file}")
 
