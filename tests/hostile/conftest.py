@@ -9,11 +9,15 @@ from .files import FILES
 
 
 @pytest.fixture(scope="session")
-def hostile(tmp_path_factory) -> Path:
+def hostile(tmp_path_factory, worker_id) -> Path:
     """A folder of hostile files beside a victim, and their paths by name."""
     folder = tmp_path_factory.mktemp("hostile")
     (folder / "files" / "victim").mkdir(parents=True)
-    (folder / "verdicts").mkdir()
+    base = tmp_path_factory.getbasetemp()
+    # The folder of a worker is one of the whole run's.
+    verdicts = (base if worker_id == "master" else base.parent) / "verdicts"
+    verdicts.mkdir(exist_ok=True)
+    (folder / "verdicts").symlink_to(verdicts)
     (folder / "files" / "victim" / "thesis.tex").write_text("years of work")
     paths = {}
     for number, (title, make) in enumerate(FILES.items()):

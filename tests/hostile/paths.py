@@ -14,10 +14,13 @@ from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+from renet import trial
 from renet.bundle import DEFAULT, models, pretrained
 from renet.cli import COMMANDS, main
+from renet.deploy.robots.sim import scene_file
 from renet.errors import RenetError
 from renet.page.writer import VENDOR
+from renet.terrain import own_ground
 
 from ..forked import Fork
 from .files import ticks
@@ -154,7 +157,9 @@ def hand_over(name: str, option: str, variant: tuple[str, ...], folder: str) -> 
     for file in VENDOR:
         Path("packages", file).parent.mkdir(parents=True, exist_ok=True)
         Path("packages", file).touch()
-    models.run_trial = remembered(models.run_trial, Path(folder, "verdicts"))
+    for module in (models, own_ground, scene_file):
+        module.run_trial = remembered(module.run_trial, Path(folder))
+    trial.STALL_INTERVAL = 1.0  # One file waits for another program.
     attempt(command_line(name, option, variant, "/nowhere"))  # Imports what it needs.
     reports, most = {}, usage()[1] + MEMORY
     for title, path in paths.items():
@@ -167,17 +172,27 @@ def hand_over(name: str, option: str, variant: tuple[str, ...], folder: str) -> 
     return 0
 
 
-def remembered(trial: Callable[..., None], folder: Path) -> Callable[..., None]:
-    """A trial of models whose verdict on the same ones serves every command: a trial is slow."""
+def remembered(run_trial: Callable[..., None], folder: Path) -> Callable[..., None]:
+    """A trial whose verdict on a file of `folder` serves every command: a trial is slow.
 
-    def run(module: str, arguments: list[str], what: str, data: bytes) -> None:
-        verdict = folder / hashlib.sha256(repr((module, arguments)).encode() + data).hexdigest()
+    Verdicts are files, which all workers share.
+    """
+    verdicts = folder / "verdicts"
+
+    def run(module: str, arguments: list[str], what: str, data: bytes = b"") -> None:
+        # Each worker has the same files in a folder of its own.
+        same = repr((module, arguments)).replace(str(folder), "").encode()
+        verdict = verdicts / hashlib.sha256(same + data).hexdigest()
         if not verdict.exists():
+            told = ""
             try:
-                trial(module, arguments, "", data)
-                verdict.touch()
+                run_trial(module, arguments, "", data)
             except RenetError as error:
-                verdict.write_text(str(error))
+                told = str(error)
+            # Whole or not at all, as another worker may look.
+            partial = verdict.with_suffix(f".{os.getpid()}")
+            partial.write_text(told)
+            partial.rename(verdict)
         if refusal := verdict.read_text():
             raise RenetError(what + refusal)
 
