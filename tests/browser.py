@@ -18,6 +18,8 @@ OPTIONS = (
     "--disable-dev-shm-usage",
     "--disable-background-networking",
     "--enable-unsafe-swiftshader",
+    # WebAssembly does not run for long enough here to be worth optimising.
+    "--js-flags=--liftoff-only",
 )
 PATIENCE = 120.0
 """Seconds for which a busy machine may keep a test waiting."""
