@@ -16,8 +16,8 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column
-from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
-from renet.evaluation.studies.one_try import EDGES, START_YAW
+from renet.evaluation.rollout import StudyMode, robot_numbers
+from renet.evaluation.studies.one_try import EDGES, start_facing
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
@@ -111,14 +111,11 @@ class DemoStudy(WalkingStudy):
 
         unplugged = (Injection.of(*_UNPLUGGED, self.onset, self.seconds),)
         each = self.robots_each
-        trials = []
-        for mode in self.modes:
-            trials += [Trial(mode, unplugged, robot, _GROUND) for robot in range(each)]
-        numbers = robot_numbers(trials)
+        trials = self.trials_on((_GROUND,), unplugged)
         # Straight at the gap, as in the success study: obliquely it is wider, and is reached later.
         cfg = evaluator.terrain_env_cfg({_GROUND: _LEVEL})
-        cfg.events["spawn"].params["pose_range"]["yaw"] = (-START_YAW, START_YAW)
-        env = evaluator.make_env(cfg, numbers, self.speed, self.seed)
+        start_facing(cfg)
+        env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         env.place_on([_GROUND] * len(trials))
         steps = round(self.seconds / CONTROL_DT)
         rollout = evaluator.rollout(env, trials, self.seed)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
@@ -30,6 +31,7 @@ from renet.evaluation.results import (
     write_summary,
 )
 from renet.evaluation.rollout import (
+    FLAT_GROUND,
     Conditions,
     StudyMode,
     Trial,
@@ -37,6 +39,7 @@ from renet.evaluation.rollout import (
     check_modes,
     check_speed,
 )
+from renet.faults import FaultSchedule
 from renet.interface import Engine
 from renet.motor_models import IDEAL, motors_key
 from renet.terminal import ProgressLog, show
@@ -294,10 +297,15 @@ class WalkingStudy(Study):
         """Number of robots in each setting and mode, with `quick` taken into account."""
         return self.quick_robots if self.quick else self.robots
 
-    def trials_on(self, grounds: Sequence[str]) -> list[Trial]:
-        """Trials of every robot of every mode on every ground, in this order, without faults."""
+    def trial_group(
+        self, mode: str, schedule: FaultSchedule = (), ground: str = FLAT_GROUND
+    ) -> list[Trial]:
+        """Trials of all robots of one setting in one mode; by default without faults."""
+        return [Trial(mode, schedule, robot, ground) for robot in range(self.robots_each)]
+
+    def trials_on(self, grounds: Sequence[str], schedule: FaultSchedule = ()) -> list[Trial]:
+        """Trials of all robots: a group for each mode on each ground, ground by ground."""
         trials = []
-        for ground in grounds:
-            for mode in self.modes:
-                trials += [Trial(mode, (), robot, ground) for robot in range(self.robots_each)]
+        for ground, mode in product(grounds, self.modes):
+            trials += self.trial_group(mode, schedule, ground)
         return trials

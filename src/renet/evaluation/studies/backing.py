@@ -16,9 +16,9 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
+from renet.evaluation.rollout import StudyMode, robot_numbers
 from renet.evaluation.studies.memory import DEAD_CAMERA
-from renet.evaluation.studies.one_try import EDGES, START_YAW
+from renet.evaluation.studies.one_try import EDGES, one_tile_cfg, start_facing
 from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, MAX_REVERSE
@@ -72,21 +72,14 @@ class BackingStudy(WalkingStudy):
     def _back_out(self, evaluator: Evaluator, kind: Edge) -> Part:
         """Walk all robots and modes backward from one kind of edge."""
         from renet.evaluation.motion import MotionSensor
-        from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
         tile = replace(tiles()[kind], low=EDGE_SIZES[kind], high=EDGE_SIZES[kind])
-        terrain = parkour_terrain(EVALUATION_SEED, {kind: tile}, levels=1)
-        cfg = evaluator.terrain_env_cfg(terrain)
+        cfg = one_tile_cfg(evaluator, kind, tile)
+        start_facing(cfg)
         place = EDGES[kind] - self.from_edge
-        start = cfg.events["spawn"].params["pose_range"]
-        start["x"] = (place - _SPREAD, place + _SPREAD)
-        start["yaw"] = (-START_YAW, START_YAW)
-
-        each = self.robots_each
+        cfg.events["spawn"].params["pose_range"]["x"] = (place - _SPREAD, place + _SPREAD)
         dead = (Injection.of(*DEAD_CAMERA, 0, self.seconds),)
-        trials = []
-        for mode in self.modes:
-            trials += [Trial(mode, dead, robot) for robot in range(each)]
+        trials = self.trials_on((kind,), dead)
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         env.follow(np.tile((-self.speed, 0.0, 0.0), (len(trials), 1)))
         sensor = MotionSensor(env)
@@ -100,13 +93,13 @@ class BackingStudy(WalkingStudy):
         trace = rollout.run(steps, f"{kind}, backward", on_step=watch)
         backed, fell = outcomes(np.stack(positions), trace.ended)
         runs = []
-        robots = np.arange(len(trials)).reshape(-1, each)
+        robots = np.arange(len(trials)).reshape(len(self.modes), -1)
         for mode, group in zip(self.modes, robots, strict=True):
             run = {
                 "kind": kind,
                 "size_m": EDGE_SIZES[kind],
                 "mode": mode,
-                "robots": each,
+                "robots": len(group),
                 "backed": int(backed[group].sum()),
                 "falls": int(fell[group].sum()),
                 "success_rate": float(backed[group].mean()),

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from renet.errors import RenetError
 from renet.evaluation import figures
 from renet.evaluation.results import column, select
-from renet.evaluation.rollout import FLAT_GROUND, StudyMode, Trial, robot_numbers
+from renet.evaluation.rollout import FLAT_GROUND, StudyMode, robot_numbers
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 
@@ -87,7 +87,7 @@ class CommandStudy(WalkingStudy):
         each = self.robots_each
         trials = []
         for mode, _ in self.groups:
-            trials += [Trial(mode, robot=robot) for robot in range(each)]
+            trials += self.trial_group(mode)
         env = evaluator.make_env(FLAT_GROUND, robot_numbers(trials), self.speed, self.seed)
         # Every mode follows all commands, see `groups`.
         commands = np.repeat(TWISTS * len(self.modes), each, axis=0)

@@ -157,9 +157,7 @@ class FaultStudy(WalkingStudy):
         """Trials of every robot of a batch, group by group."""
         trials = []
         for setting, mode in self.groups(settings):
-            schedule = (setting.injection(self.lasts),)
-            for robot in range(self.robots_each):
-                trials.append(Trial(mode, schedule, robot, setting.ground))
+            trials += self.trial_group(mode, (setting.injection(self.lasts),), setting.ground)
         return trials
 
     def make_env(self, evaluator: Evaluator, robots: tuple[int, ...]) -> SimEnv:

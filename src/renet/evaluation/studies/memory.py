@@ -17,7 +17,7 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
-from renet.evaluation.rollout import StudyMode, Trial
+from renet.evaluation.rollout import StudyMode
 from renet.evaluation.studies.one_try import NEAREST, LevelStudy
 from renet.evaluation.studies.terrain import SIZE_LABELS
 from renet.evaluation.study import Figures, Part, Table
@@ -87,7 +87,7 @@ class MemoryStudy(LevelStudy):
         trials = []
         for seconds, mode in self.settings:
             schedule = (Injection.of(*DEAD_CAMERA, self.onset, seconds),) if seconds else ()
-            trials += [Trial(mode, schedule, robot, kind) for robot in range(self.robots_each)]
+            trials += self.trial_group(mode, schedule, kind)
         trace = self.walk(evaluator, {kind: level}, trials, title, until_ended=self.onset)
         crossed, fell, _ = trace.first_try()
         shape = (len(self.settings), self.robots_each)

@@ -12,17 +12,37 @@ from renet.evaluation.rollout import EvalEnv, Trial, robot_numbers
 from renet.evaluation.study import Part, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.interface import CONTROL_DT
-from renet.terrain.tiles import LEVELS, tiles
+from renet.terrain.tiles import LEVELS, Tile, tiles
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator, Task
+    from renet.tasks import RenetEnvCfg
 
 EDGES = {"gap": 1.2, "platform": 1.4, "stairs_up": 1.2, "stairs_down": 1.5}
 """Distance from the middle of a tile, where robots start, to the first edge, m, by kind."""
 NEAREST = min(EDGES.values())
 """Shortest of these distances, m."""
-START_YAW = 0.1
-"""Largest angle between a robot's start and the direction of the obstacle, rad."""
+_START_YAW = 0.1
+"""Largest angle between a robot's start and the yaw that it is to have, rad."""
+
+
+def start_facing(cfg: RenetEnvCfg, yaw: float = 0.0) -> None:
+    """Let robots start at a yaw, give or take 0.1 rad, in place.
+
+    Args:
+        cfg: task whose obstacle is straight ahead, along +x.
+        yaw: yaw of the start, rad; 0: robots walk straight at the obstacle.
+    """
+    yaws = (yaw - _START_YAW, yaw + _START_YAW)
+    cfg.events["spawn"].params["pose_range"]["yaw"] = yaws
+
+
+def one_tile_cfg(evaluator: Evaluator, kind: str, tile: Tile) -> RenetEnvCfg:
+    """Task on a single tile of a kind, in the evaluator's conditions."""
+    # It loads PyTorch and mjlab, which take seconds.
+    from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
+
+    return evaluator.terrain_env_cfg(parkour_terrain(EVALUATION_SEED, {kind: tile}, levels=1))
 
 
 @dataclass(frozen=True)

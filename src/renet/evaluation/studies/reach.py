@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -19,14 +19,15 @@ import numpy as np
 from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by, select
-from renet.evaluation.rollout import Trial, robot_numbers
+from renet.evaluation.rollout import robot_numbers
 from renet.evaluation.studies.memory import DEAD_CAMERA
+from renet.evaluation.studies.one_try import one_tile_cfg
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
 from renet.interface import CONTROL_DT, Unseen
 from renet.pilot.reach import UNSEEN
-from renet.terrain.tiles import TILE, GapTile, Tile
+from renet.terrain.tiles import TILE, GapTile
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -106,22 +107,14 @@ class ReachStudy(WalkingStudy):
 
     def _walk(self, evaluator: Evaluator, name: str, gap: GapTile, metres: float) -> Part:
         """Walk on one tile with each conduct, and with a healthy camera."""
-        from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
-
-        kinds: dict[str, Tile] = {"gap": gap}
-        terrain = parkour_terrain(EVALUATION_SEED, kinds, levels=1)
-        cfg = evaluator.terrain_env_cfg(terrain)
-        each = self.robots_each
+        cfg = one_tile_cfg(evaluator, "gap", gap)
         dead = (Injection.of(*DEAD_CAMERA, self.onset, self.seconds),)
         # One group with a healthy camera, which no conduct changes, and one for each conduct.
-        labels = ["healthy", *self.unseen]
-        trials = []
-        conducts: list[Unseen] = []
-        for label in labels:
-            healthy = label == "healthy"
-            for robot in range(each):
-                trials.append(Trial("memory", () if healthy else dead, robot))
-                conducts.append("walk" if healthy else cast(Unseen, label))
+        trials = self.trial_group("memory")
+        conducts: list[Unseen] = ["walk"] * self.robots_each
+        for conduct in self.unseen:
+            trials += self.trial_group("memory", dead)
+            conducts += [conduct] * self.robots_each
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         rollout = evaluator.rollout(env, trials, self.seed, conducts)
         trace = rollout.run(round(self.seconds / CONTROL_DT), name, retire=True)
@@ -131,7 +124,8 @@ class ReachStudy(WalkingStudy):
             "metres": metres,
         }
         runs = []
-        for label, group in zip(labels, trace.groups(each), strict=True):
+        labels = ("healthy", *self.unseen)
+        for label, group in zip(labels, trace.groups(self.robots_each), strict=True):
             runs.append(scene | {"unseen": label} | self._row(group, gap))
         return {"runs": runs}
 

@@ -18,8 +18,8 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.rollout import StudyMode, Trial, robot_numbers
-from renet.evaluation.studies.one_try import START_YAW
+from renet.evaluation.rollout import StudyMode, robot_numbers
+from renet.evaluation.studies.one_try import one_tile_cfg, start_facing
 from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
 from renet.terrain.tiles import BARRIERS, barriers
@@ -65,24 +65,16 @@ class StopsStudy(WalkingStudy):
 
     def _approach(self, evaluator: Evaluator, kind: str, angle: float) -> Part:
         """Walk all robots and modes at one kind of barrier, from one direction."""
-        from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
-
         tile = replace(barriers()[kind], low=self.height, high=self.height)
-        terrain = parkour_terrain(EVALUATION_SEED, {kind: tile}, levels=1)
-        cfg = evaluator.terrain_env_cfg(terrain)
-        # Robots start at this angle, give or take `START_YAW`.
-        yaw = math.radians(angle)
-        cfg.events["spawn"].params["pose_range"]["yaw"] = (yaw - START_YAW, yaw + START_YAW)
-        each = self.robots_each
-        trials = []
-        for mode in self.modes:
-            trials += [Trial(mode, robot=robot) for robot in range(each)]
+        cfg = one_tile_cfg(evaluator, kind, tile)
+        start_facing(cfg, math.radians(angle))
+        trials = self.trials_on((kind,))
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         steps = round(self.seconds / CONTROL_DT)
         rollout = evaluator.rollout(env, trials, self.seed)
         trace = rollout.run(steps, f"{kind}, {angle:g} degrees")
         runs = []
-        for mode, group in zip(self.modes, trace.groups(each), strict=True):
+        for mode, group in zip(self.modes, trace.groups(self.robots_each), strict=True):
             # A robot that does not stop falls or leaves the tile, which ends its episode.
             stopped = ~np.any(group.ended, axis=0)
             walked = group.travelled[-1][stopped]
@@ -91,7 +83,7 @@ class StopsStudy(WalkingStudy):
                 "angle_deg": angle,
                 "height_m": self.height,
                 "mode": mode,
-                "robots": each,
+                "robots": len(stopped),
                 "falls": int((~stopped).sum()),
                 "success_rate": float(stopped.mean()),
                 **metrics.with_share_interval("success", stopped),

@@ -27,7 +27,7 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
 from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, StudyMode, Trial, robot_numbers
-from renet.evaluation.studies.one_try import NEAREST, START_YAW
+from renet.evaluation.studies.one_try import NEAREST, start_facing
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FaultSchedule, parse_fault
@@ -155,9 +155,8 @@ class TerrainStudy(WalkingStudy):
 
     def _walk_flat(self, evaluator: Evaluator) -> Part:
         """Walk with as many robots as in a setting on flat ground."""
-        robots = range(self.robots_each)
-        env = evaluator.make_env(FLAT_GROUND, robots, self.speed, self.seed)
-        trials = [Trial(self.modes[0], robot=robot) for robot in robots]
+        trials = self.trial_group(self.modes[0])
+        env = evaluator.make_env(FLAT_GROUND, robot_numbers(trials), self.speed, self.seed)
         steps = round(self.seconds / CONTROL_DT)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, "flat")
         return {"falls": int(trace.fell.sum())}
@@ -225,7 +224,7 @@ class TerrainStudy(WalkingStudy):
         cfg = evaluator.terrain_env_cfg(PARKOUR)
         cfg.scene.terrain.terrain_generator.sub_terrains = self.tiles
         if self.one_try:
-            cfg.events["spawn"].params["pose_range"]["yaw"] = (-START_YAW, START_YAW)
+            start_facing(cfg)
         return evaluator.make_env(cfg, numbers, self.speed, self.seed)
 
     def _run(self, kind: str, level: int, mode: str, trace: Trace) -> dict[str, Any]:
