@@ -45,3 +45,14 @@ def test_a_long_last_line_is_within_the_figure():
         right = figure._supxlabel.get_window_extent().x1  # type: ignore[attr-defined]
     plt.close(figure)
     assert right < figure.bbox.x1
+
+
+def test_shares_are_drawn_in_percent_with_their_intervals():
+    run = {"fell_rate": 0.2, "fell_ci95_low": 0.1, "fell_ci95_high": 0.5}
+    figure, axis = plt.subplots()
+    figures.draw_shares(axis, [3.0], [run], "fell")
+    (line,) = axis.lines
+    (interval,) = axis.collections[0].get_segments()
+    plt.close(figure)
+    np.testing.assert_allclose(line.get_xydata(), [(3.0, 20.0)])
+    np.testing.assert_allclose(interval, [(3.0, 10.0), (3.0, 50.0)])

@@ -36,8 +36,8 @@ def test_share_intervals_leave_out_what_seldom_makes_such_a_share():
     more = sum(comb(20, k) * low**k * (1 - low) ** (20 - k) for k in range(13, 21))
     fewer = sum(comb(20, k) * high**k * (1 - high) ** (20 - k) for k in range(14))
     assert (more, fewer) == pytest.approx((0.025, 0.025))
-    row = metrics.with_share_interval("crossed", np.repeat([1, 0], (13, 7)))
-    assert row == {"crossed_ci95_low": low, "crossed_ci95_high": high}
+    row = metrics.share_columns("crossed", np.repeat([1, 0], (13, 7)))
+    assert row == {"crossed_rate": 0.65, "crossed_ci95_low": low, "crossed_ci95_high": high}
 
 
 def test_bootstrap_interval_of_a_mean_matches_the_normal_one():
@@ -45,6 +45,8 @@ def test_bootstrap_interval_of_a_mean_matches_the_normal_one():
     low, high = metrics.bootstrap_interval(values)
     half = 1.96 * values.std() / 20
     assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
+    row = metrics.mean_columns("speed", values)
+    assert row == {"speed": values.mean(), "speed_ci95_low": low, "speed_ci95_high": high}
     assert np.isnan(metrics.bootstrap_interval(np.array([np.nan]))).all()
     assert metrics.bootstrap_interval(np.zeros(1), lambda values: 7.0) == (7.0, 7.0)
 

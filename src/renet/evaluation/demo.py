@@ -174,9 +174,9 @@ class DemoStudy(WalkingStudy):
                 "robots": len(crossed),
                 "crossed": int(crossed.sum()),
                 "fell": int(fell.sum()),
-                "crossed_rate": float(crossed.mean()),
+                **metrics.share_columns("crossed", crossed),
             }
-            runs.append(run | metrics.with_share_interval("crossed", crossed))
+            runs.append(run)
         return {
             "runs": runs,
             "gap_m": self.gap,

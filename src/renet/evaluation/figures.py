@@ -86,11 +86,7 @@ def save_figure(figure: Figure, path: Path, provenance: Provenance, dpi: int = 1
     matplotlib makes ticks only now, in its current style.
     """
     add_footer(figure, provenance)
-    _round_corners(figure)
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=dpi, metadata={"Description": provenance.line})
-    plt.close(figure)
-    write_atomically(path, picture.getvalue(), "figure")
+    write_atomically(path, png(figure, dpi, provenance.line), "figure")
     return path
 
 
@@ -117,11 +113,11 @@ def _round_corners(figure: Figure) -> None:
     figure.add_artist(card)
 
 
-def png(figure: Figure, dpi: int = 150) -> bytes:
-    """Render a figure as PNG and close it."""
+def png(figure: Figure, dpi: int = 150, description: str | None = None) -> bytes:
+    """Render a figure as PNG, with a description in its metadata, and close it."""
     _round_corners(figure)
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=dpi)
+    figure.savefig(picture, format="png", dpi=dpi, metadata={"Description": description})
     plt.close(figure)
     return picture.getvalue()
 
@@ -218,13 +214,9 @@ def colour_tables(
         rotation: rotation of the columns' names, degrees.
     """
     # Rows and columns of all panels, in the order in which they first occur.
-    rows: list[str] = []
-    columns: list[str] = []
-    for row, heading in chain.from_iterable(panels.values()):
-        if row not in rows:
-            rows.append(row)
-        if heading not in columns:
-            columns.append(heading)
+    places = list(chain.from_iterable(panels.values()))
+    rows = list(dict.fromkeys(row for row, _ in places))
+    columns = list(dict.fromkeys(heading for _, heading in places))
     with plt.rc_context({"axes.grid": False, "axes.spines.left": False}):
         across = 1 if stacked else len(panels)
         down = len(panels) if stacked else 1
@@ -259,7 +251,7 @@ def share_panels(
 
     Args:
         panels: rows of a summary, by title; two panels are side by side.
-        name: name of the share, whose columns are NAME_rate, NAME_ci95_low and NAME_ci95_high.
+        name: name of the share, see `metrics.share_columns`.
         tick: label of a row's place; places are evenly spaced, in the order in which their labels
             first occur.
         xlabel: label of the horizontal axis.
@@ -277,12 +269,8 @@ def share_panels(
         for number, ((mode,), line) in enumerate(modes.items()):
             shift = (number - (len(modes) - 1) / 2) * apart
             x = [places.index(tick(run)) + shift for run in line]
-            share = 100 * np.array(column(line, f"{name}_rate"))
-            low = 100 * np.array(column(line, f"{name}_ci95_low"))
-            high = 100 * np.array(column(line, f"{name}_ci95_high"))
-            look: Any = {"color": MODE_COLOURS[mode], "label": mode}
-            look |= {"fmt": "o--" if mode == "blind" else "o-", "markersize": 4, "elinewidth": 1}
-            axis.errorbar(x, share, np.abs([low - share, high - share]), **look)
+            look: Any = {"color": MODE_COLOURS[mode], "label": mode, "elinewidth": 1}
+            draw_shares(axis, x, line, name, "o--" if mode == "blind" else "o-", **look)
         axis.set_xticks(range(len(places)), places, rotation=rotation)
         axis.set_title(title, fontsize=9)
     for axis in axes.flat[len(panels) :]:
@@ -293,6 +281,31 @@ def share_panels(
     figure.supylabel("robots that cross (%)", fontsize=10)
     legend(figure, axes[0][0])
     return figure
+
+
+def draw_shares(
+    axis: Axes,
+    x: Sequence[float] | np.ndarray,
+    runs: Sequence[Mapping[str, Any]],
+    name: str,
+    fmt: str = "o-",
+    **look: Any,
+) -> None:
+    """Draw a line of shares of robots in percent, with their intervals.
+
+    Args:
+        axis: axis to draw on.
+        x: place of each row, [rows].
+        runs: rows of a summary.
+        name: name of the share, see `metrics.share_columns`.
+        fmt: format of the line.
+        look: further arguments of `Axes.errorbar`.
+    """
+    rate = 100 * np.array(column(runs, f"{name}_rate"))
+    low = 100 * np.array(column(runs, f"{name}_ci95_low"))
+    high = 100 * np.array(column(runs, f"{name}_ci95_high"))
+    interval = np.stack((rate - low, high - rate)).clip(min=0.0)
+    axis.errorbar(x, rate, interval, fmt=fmt, markersize=4, **look)
 
 
 def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
@@ -312,38 +325,20 @@ def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
 def timeline(
     line: Mapping[str, Any], marks: Sequence[tuple[float, str]], beta: float, title: str
 ) -> Figure:
-    """The paper's timeline of one robot; see `_draw_timeline`."""
-    figure, axis = plt.subplots(figsize=(11, 3.7))
-    right = _draw_timeline(axis, line, marks, beta)
-    axis.set(title=title, xlabel="time (s)", ylabel="anomaly score")
-    legend(figure, axis, right)
-    return figure
-
-
-def _draw_timeline(
-    axis: Axes,
-    line: Mapping[str, Any],
-    marks: Sequence[tuple[float, str]],
-    beta: float,
-    every: float = CONTROL_DT,
-) -> Axes:
-    """Draw loss, threshold and the estimator in charge, and the vision probability P.
+    """The paper's timeline of one robot: loss, threshold, estimator in charge and probability P.
 
     Args:
-        axis: axis to draw on.
-        line: `anomaly`, `probability` and `vision` (VP in charge), [T] each.
+        line: `anomaly`, `probability` and `vision` (VP in charge) at each control step, [T] each.
         marks: times to point out, s, with their texts.
         beta: threshold on the anomaly score.
-        every: time between two values, s.
-
-    Returns:
-        The right axis, with P.
+        title: title of the figure.
     """
+    figure, axis = plt.subplots(figsize=(11, 3.7))
     vision = np.array(line["vision"], bool)
     # A robot has no score before its first tick, which a logarithmic axis would show as a dive.
     anomaly = np.array(line["anomaly"], float)
     anomaly[anomaly <= 0] = np.nan
-    time = np.arange(len(anomaly)) * every
+    time = np.arange(len(anomaly)) * CONTROL_DT
     height = axis.get_xaxis_transform()
     axis.plot(time, anomaly, color=_LOSS, label="reconstruction loss")
     axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
@@ -358,6 +353,7 @@ def _draw_timeline(
     # Leave room above the curve for the marks' texts.
     top = 4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta)
     axis.set(yscale="log", ylim=(None, top), xlim=(0, time[-1]))
+    axis.set(title=title, xlabel="time (s)", ylabel="anomaly score")
     for instant, text in marks:
         axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
         write_beside(axis, instant, text, 1.0, xytext=(3, -10))
@@ -367,7 +363,8 @@ def _draw_timeline(
     right.set(ylim=(-0.05, 1.25), yticks=np.linspace(0, 1, 6))
     right.set_ylabel("P", color=_PROBABILITY)
     right.grid(False)
-    return right
+    legend(figure, axis, right)
+    return figure
 
 
 def write_beside(axis: Axes, instant: float, text: str, height: float, **look: Any) -> None:

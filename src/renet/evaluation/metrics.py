@@ -70,6 +70,26 @@ def share_interval(successes: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def share_columns(name: str, successes: np.ndarray) -> dict[str, float]:
+    """A share with its `share_interval`, as columns of a summary's row.
+
+    Args:
+        name: beginning of the columns' names: NAME_rate, NAME_ci95_low and NAME_ci95_high.
+        successes: 0 or 1 for each robot, [n]; n > 0.
+    """
+    return {f"{name}_rate": float(successes.mean()), **with_share_interval(name, successes)}
+
+
+def mean_columns(name: str, values: np.ndarray) -> dict[str, float]:
+    """A mean with its `bootstrap_interval`, as columns of a summary's row.
+
+    Args:
+        name: beginning of the columns' names: NAME, NAME_ci95_low and NAME_ci95_high.
+        values: one number for each robot, [n].
+    """
+    return {name: float(values.mean()), **with_interval(name, values)}
+
+
 def with_share_interval(name: str, successes: np.ndarray) -> dict[str, float]:
     """The `share_interval` of 0 or 1 for each robot [n], as columns of a summary's row."""
     low, high = share_interval(successes)

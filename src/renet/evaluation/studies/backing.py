@@ -102,8 +102,7 @@ class BackingStudy(WalkingStudy):
                 "robots": len(group),
                 "backed": int(backed[group].sum()),
                 "falls": int(fell[group].sum()),
-                "success_rate": float(backed[group].mean()),
-                **metrics.with_share_interval("success", backed[group]),
+                **metrics.share_columns("success", backed[group]),
                 "seed": self.seed,
             }
             runs.append(run)

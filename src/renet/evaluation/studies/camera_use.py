@@ -191,18 +191,14 @@ def compare_with_twins(part: Mapping[str, Mapping[str, Any]], view: str) -> dict
     """
     crossed = np.array(part[view]["crossed"], bool)
     healthy = np.array(part["healthy"]["crossed"], bool)
-    low, high = metrics.share_interval(crossed)
     lost = int((healthy & ~crossed).sum())
     won = int((crossed & ~healthy).sum())
     change = crossed.astype(float) - healthy
     return {
         "robots": len(crossed),
         "crossed": int(crossed.sum()),
-        "crossed_rate": float(crossed.mean()),
-        "crossed_ci95_low": low,
-        "crossed_ci95_high": high,
-        "change": float(change.mean()),
-        **metrics.with_interval("change", change),
+        **metrics.share_columns("crossed", crossed),
+        **metrics.mean_columns("change", change),
         "p": float(binomtest(lost, lost + won).pvalue) if lost + won else 1.0,
         "parted": int(np.sum(part[view]["parted"])),
     }

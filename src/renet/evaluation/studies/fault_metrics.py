@@ -113,7 +113,7 @@ def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
     if op is None:
         return dict.fromkeys(("over_op", "over_op_ci95_low", "over_op_ci95_high"))
     gain = np.array(values["upright"], float) - np.array(op["upright"], float)
-    return {"over_op": float(gain.mean()), **metrics.with_interval("over_op", gain)}
+    return metrics.mean_columns("over_op", gain)
 
 
 def end_of(setting: Setting, over: int) -> int:

@@ -113,10 +113,8 @@ class MemoryStudy(LevelStudy):
                     "robots": len(successes),
                     "crossed": int(successes.sum()),
                     "fell": int(fell[seconds, mode].sum()),
-                    "crossed_rate": float(successes.mean()),
-                    **metrics.with_share_interval("crossed", successes),
-                    "change": float(change.mean()),
-                    **metrics.with_interval("change", change),
+                    **metrics.share_columns("crossed", successes),
+                    **metrics.mean_columns("change", change),
                     "seed": self.seed,
                 }
                 runs.append(run)

@@ -159,19 +159,8 @@ class ReachStudy(WalkingStudy):
             for number, ((conduct,), runs) in enumerate(group_by(single, "unseen").items()):
                 # Conducts are side by side, or equal shares would hide each other.
                 x = np.array(column(runs, "measured_m")) + 0.012 * number
-                rate = 100 * np.array(column(runs, f"{share}_rate"))
-                low = 100 * np.array(column(runs, f"{share}_ci95_low"))
-                high = 100 * np.array(column(runs, f"{share}_ci95_high"))
-                interval = np.stack((rate - low, high - rate)).clip(min=0.0)
-                axis.errorbar(
-                    x,
-                    rate,
-                    interval,
-                    fmt="o-",
-                    color=_COLOURS[conduct],
-                    label=conduct,
-                    markersize=4,
-                )
+                look = {"color": _COLOURS[conduct], "label": conduct}
+                figures.draw_shares(axis, x, runs, share, **look)
             axis.set_title(f"{share}, gap of {100 * self.gap:.0f} cm", fontsize=9)
             axis.set_ylabel("robots (%)")
         axes[0].set_ylim(-4, 104)

@@ -85,8 +85,7 @@ class StopsStudy(WalkingStudy):
                 "mode": mode,
                 "robots": len(stopped),
                 "falls": int((~stopped).sum()),
-                "success_rate": float(stopped.mean()),
-                **metrics.with_share_interval("success", stopped),
+                **metrics.share_columns("success", stopped),
                 "walked_m": float(np.median(walked)) if walked.size else None,
                 "seed": self.seed,
             }

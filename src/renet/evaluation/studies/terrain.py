@@ -241,8 +241,7 @@ class TerrainStudy(WalkingStudy):
             "passed": int(success.sum()),
             "falls": int((fell if self.one_try else trace.fell).sum()),
             "stuck": int((~crossed & ~fell).sum()),
-            "success_rate": float(success.mean()),
-            **metrics.with_share_interval("success", success),
+            **metrics.share_columns("success", success),
             "median_seconds": float(np.median(seconds[crossed])) if crossed.any() else None,
             "seed": self.seed,
         }
