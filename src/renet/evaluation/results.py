@@ -11,7 +11,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -112,35 +112,56 @@ PARTS_FORMAT = 6
 """Version of the contents of parts; increase it when these change, to make older parts anew."""
 
 
-def part_path(folder: Path, name: str, key: dict[str, Any]) -> Path:
-    """Path of a part of a study; `key` holds all settings that its numbers depend on."""
-    key = plain(key | {"format": PARTS_FORMAT})
-    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
-    return folder / f"{name}-{digest[:8]}.json"
+class PartMaker:
+    """Maker of a study's parts, which it keeps on disk for the next run.
 
-
-def load_or_make(
-    folder: Path, name: str, key: dict[str, Any], make: Callable[[], dict[str, Any]]
-) -> dict[str, Any]:
-    """Load a part of a study that an earlier run has made, or make it and write it to `folder`.
-
-    An interrupted study thus goes on where it stopped. `key` holds all settings that the part's
-    numbers depend on; parts with other keys lie beside it. Raises RenetError for an earlier part
-    that is damaged or of other settings.
+    An interrupted study continues from the parts that it has. Parts made with other settings lie
+    beside them and are not used.
     """
-    path = part_path(folder, name, key)
-    key = plain(key | {"format": PARTS_FORMAT})
-    if path.exists():
-        part = read_results(path)
-        # The file's name holds only the beginning of the key's hash.
-        if part.get("key") != key:
-            raise RenetError(
-                f"{path} is of other settings than its name says: delete it and run the study again"
-            )
+
+    def __init__(
+        self,
+        folder: Path,
+        key: Mapping[str, Any],
+        makers: Mapping[str, Callable[[], dict[str, Any]]],
+    ) -> None:
+        """Prepare to make parts.
+
+        Args:
+            folder: folder of the parts.
+            key: all settings that the parts' numbers depend on.
+            makers: function that makes each part, by the part's name.
+        """
+        self.folder = folder
+        self.makers = makers
+        self._key = plain({**key, "format": PARTS_FORMAT})
+
+    def _path(self, name: str) -> Path:
+        """Path of a part, with the beginning of the key's hash in its name."""
+        digest = hashlib.sha256(json.dumps(self._key, sort_keys=True).encode()).hexdigest()
+        return self.folder / f"{name}-{digest[:8]}.json"
+
+    def missing(self, names: Iterable[str]) -> list[str]:
+        """Names of the parts that are not on disk."""
+        return [name for name in names if not self._path(name).exists()]
+
+    def __call__(self, name: str) -> dict[str, Any]:
+        """Read a part from disk, or make it and write it there.
+
+        Raises RenetError for a file that is damaged or of other settings.
+        """
+        path = self._path(name)
+        if path.exists():
+            part = read_results(path)
+            if part.get("key") != self._key:
+                raise RenetError(
+                    f"{path} is of other settings than its name says: delete it and run the study"
+                    " again"
+                )
+            return part
+        part = plain(self.makers[name]()) | {"key": self._key}
+        write_json(path, part)
         return part
-    part = plain(make()) | {"key": key}
-    write_json(path, part)
-    return part
 
 
 def group_by(rows: Sequence[_Row], *names: str) -> dict[tuple[Any, ...], list[_Row]]:

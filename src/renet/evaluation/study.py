@@ -7,7 +7,7 @@ writes `summary.json`, `summary.csv`, figures and `summary.md` with their proven
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -20,11 +20,10 @@ from renet.errors import RenetError, demand_name
 from renet.evaluation import figures
 from renet.evaluation.jobs import make_parts
 from renet.evaluation.results import (
+    PartMaker,
     Provenance,
     Table,
-    load_or_make,
     output_folder,
-    part_path,
     plain,
     write_csv,
     write_json,
@@ -57,26 +56,6 @@ _PROCESS_SETTINGS = ("jobs", "shard")
 
 class MissingParts(RenetError):
     """Raised when the parts of a shard are made, and those of other shards are missing."""
-
-
-@dataclass(frozen=True)
-class PartMaker:
-    """Maker of a study's parts by their names, which keeps them on disk."""
-
-    folder: Path
-    """Folder of the parts."""
-    key: dict[str, Any]
-    """Settings that the numbers of all parts depend on."""
-    makers: Mapping[str, Callable[[], Part]]
-    """Function that makes each part, by the part's name."""
-
-    def missing(self, names: Iterable[str]) -> list[str]:
-        """Names of the parts that are not on disk."""
-        return [name for name in names if not part_path(self.folder, name, self.key).exists()]
-
-    def __call__(self, name: str) -> Part:
-        """A part, read from disk or made now; raises as `load_or_make`."""
-        return load_or_make(self.folder, name, self.key, self.makers[name])
 
 
 @dataclass(frozen=True)

@@ -110,11 +110,14 @@ def _place(error: Exception, kind: type[Adapter]) -> str:
     return name
 
 
-def _demand_targets(target: np.ndarray, model: Model, kind: type[Adapter], count: int) -> None:
-    """Raise RenetError unless an adapter's joint targets are finite and [count, 12]."""
-    expected = (count, ACTION_SIZE)
+def _act(adapter: Adapter, senses: Senses) -> np.ndarray:
+    """Joint targets of an adapter, [N, 12] rad; raises RenetError unless they can be used."""
+    kind = type(adapter)
+    with _told(adapter.model, kind):
+        target = np.asarray(adapter.act(senses), np.float32)
+    expected = (adapter.num_robots, ACTION_SIZE)
     if target.shape == expected and np.isfinite(target).all():
-        return
+        return target
     name = Path(kind.act.__code__.co_filename).name
     if target.shape == expected:
         wrong = "that are not finite"
@@ -123,8 +126,8 @@ def _demand_targets(target: np.ndarray, model: Model, kind: type[Adapter], count
     else:
         wrong = f"of shape {list(target.shape)}"
     raise RenetError(
-        f"adapter {name} with {model.name} gives joint targets {wrong}: {list(expected)} finite"
-        " ones are needed (docs/benchmark.md)"
+        f"adapter {name} with {adapter.model.name} gives joint targets {wrong}:"
+        f" {list(expected)} finite ones are needed (docs/benchmark.md)"
     )
 
 
@@ -195,10 +198,7 @@ class AdaptedPolicy:
             velocity=self._velocity(),
             feet_contact=self._feet_contact(),
         )
-        adapter = self._adapter
-        with _told(adapter.model, type(adapter)):
-            target = np.asarray(adapter.act(senses), np.float32)
-        _demand_targets(target, adapter.model, type(adapter), adapter.num_robots)
+        target = _act(self._adapter, senses)
         # A study's action is an offset from the default position in units of the action scale.
         return (target - self._default).astype(np.float32) / np.float32(self._robot.action_scale)
 
@@ -261,8 +261,7 @@ class AdaptedEvaluator(Evaluator):
         adapter = self._make_adapter(1)
         with _told(adapter.model, self.adapter):
             adapter.reset(np.ones(1, bool))
-            target = np.asarray(adapter.act(senses), np.float32)
-        _demand_targets(target, adapter.model, self.adapter, 1)
+        _act(adapter, senses)
 
     def _make_adapter(self, num_robots: int) -> Adapter:
         """Open the model for N robots; raises RenetError if it or the adapter cannot be used."""
@@ -306,5 +305,5 @@ class AdaptedEvaluator(Evaluator):
         digest = hashlib.sha256(read_bytes(self._path, MAX_POLICY_SIZE, "policy"))
         # The same file behind another adapter is another policy.
         digest.update(self.adapter.__name__.encode() + self.adapter.__module__.encode())
-        engine = "native" if self.engine == "auto" else self.engine
-        return Provenance(self._path.stem, digest.hexdigest(), engine, seed)
+        name = self._path.stem
+        return replace(super().provenance(seed), bundle=name, bundle_hash=digest.hexdigest())

@@ -59,17 +59,20 @@ class MisfitError(RenetError):
     """A model does not fit the adapter that runs it."""
 
 
-def _first_line(error: Exception) -> str:
-    """First line of an error's message, at most 160 characters; its type if it has none."""
+def _line(error: Exception, number: int) -> str:
+    """A line of an error's message, at most 160 characters; its type if it has no message.
+
+    Args:
+        error: the error.
+        number: number of the line, 0 for the first and -1 for the last.
+    """
     text = str(error).strip() or type(error).__name__
-    return printable(shorten(text.splitlines()[0], 160, placeholder=" …"))
+    return printable(shorten(text.splitlines()[number], 160, placeholder=" …"))
 
 
-def _shapes(inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> str:
-    """Describe the shapes of a model's inputs and outputs."""
-    given = ", ".join(str(list(value.shape)) for value in inputs)
-    made = ", ".join(str(list(value.shape)) for value in outputs)
-    return f"inputs {given}, outputs {made}"
+def _shapes(arrays: Sequence[np.ndarray]) -> str:
+    """Shapes of arrays in words."""
+    return ", ".join(str(list(array.shape)) for array in arrays)
 
 
 class OnnxModel:
@@ -88,7 +91,7 @@ class OnnxModel:
             self._session = ort.InferenceSession(path, options, ["CPUExecutionProvider"])
         except Exception as error:
             raise RenetError(
-                f"{path} is no ONNX model: {_first_line(error)}; export the policy again"
+                f"{path} is no ONNX model: {_line(error, 0)}; export the policy again"
             ) from None
         self._inputs = [node.name for node in self._session.get_inputs()]
 
@@ -108,7 +111,7 @@ class OnnxModel:
             outputs = list(map(np.asarray, self._session.run(None, feed)))
         except Exception as error:
             raise _input_error(self.name, inputs, error) from None
-        self.shapes = _shapes(inputs, outputs)
+        self.shapes = f"inputs {_shapes(inputs)}, outputs {_shapes(outputs)}"
         return outputs
 
     def reset(self, robot: int) -> None:
@@ -160,7 +163,7 @@ class TorchScriptModel:
         except Exception as error:
             raise _input_error(self.name, inputs, error) from None
         arrays = [tensor.detach().numpy() for tensor in _tensors(outputs)]
-        self.shapes = _shapes(inputs, arrays)
+        self.shapes = f"inputs {_shapes(inputs)}, outputs {_shapes(arrays)}"
         return arrays
 
     def reset(self, robot: int) -> None:
@@ -205,8 +208,6 @@ def _method_error(name: str, method: str) -> MisfitError:
 
 def _input_error(name: str, inputs: Sequence[np.ndarray], error: Exception) -> MisfitError:
     """Error for a model that does not take the adapter's inputs."""
-    shapes = ", ".join(str(list(value.shape)) for value in inputs)
     # TorchScript's traceback begins with the place and ends with the reason.
-    last = (str(error).strip().splitlines() or [type(error).__name__])[-1]
-    words = printable(shorten(last, 160, placeholder=" …"))
-    return MisfitError(f"{name} does not take inputs of shapes {shapes}: {words}")
+    reason = _line(error, -1)
+    return MisfitError(f"{name} does not take inputs of shapes {_shapes(inputs)}: {reason}")
