@@ -27,6 +27,7 @@ from renet.evaluation.rollout import (
     Conditions,
     Trial,
     check_finite,
+    check_names,
     check_speed,
 )
 from renet.faults import Injection
@@ -277,8 +278,7 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Evaluator, Series, Series, Mem
             f"robots {cfg.robots} and seconds {cfg.seconds} must be >= 1, levels {cfg.levels}"
             f" between 1 and {LEVELS}"
         )
-    if not cfg.terrains or not {*cfg.terrains} <= {FLAT_GROUND, PARKOUR}:
-        raise RenetError(f"terrains {cfg.terrains}: choose among {FLAT_GROUND}, {PARKOUR}")
+    check_names("terrains", cfg.terrains, (FLAT_GROUND, PARKOUR))
     check_speed(cfg.speed)
     evaluator = Evaluator(cfg.bundle.absolute(), cfg.engine, cfg.conditions)
     series = _healthy_runs(cfg, evaluator, grass=False)

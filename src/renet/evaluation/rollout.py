@@ -1,11 +1,11 @@
 """Closed-loop runs: robots, camera faults and a pilot, all settings side by side.
 
 Every robot of every setting is one row of one batched environment, so that a whole study takes one
-run. A control step is that of a real robot, except that the pilot judges its images at the paper's
-200 Hz, four times in a control step.
+run. A control step is the same as on a real robot, except that the pilot judges its images at the
+paper's 200 Hz, four times in a control step.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, get_args
@@ -30,7 +30,7 @@ ORACLE: Final = "oracle"
 StudyMode = Literal["memory", "switch", "camera", "blind", "oracle"]
 """Modes of a study's robots: the pilot's (`interface.PilotMode`), and `ORACLE`."""
 Conditions = Literal["nominal", "training"]
-"""Conditions beside the ground, see `renet.evaluation.conditions`."""
+"""Conditions other than the ground, see `renet.evaluation.conditions`."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,12 @@ def check_modes(modes: Sequence[str]) -> None:
         names = ", ".join(modes) or "none"
         choices = ", ".join(get_args(StudyMode))
         raise RenetError(f"modes {names}: choose, once each, among {choices}")
+
+
+def check_names(setting: str, names: Sequence[str], choices: Collection[str]) -> None:
+    """Raise RenetError unless a setting has names, and all of them are among the choices."""
+    if not names or not {*names} <= {*choices}:
+        raise RenetError(f"{setting} {names}: choose among {', '.join(choices)}")
 
 
 def check_grounds(levels: Mapping[str, int]) -> None:
@@ -113,7 +119,7 @@ def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[i
     present = []
     for node in nodes:
         shape = list(node.shape)
-        # A number in place of a name is a fixed batch size.
+        # A dimension with a number instead of a name is a fixed batch size.
         batched &= bool(shape) and not isinstance(shape[0], int)
         row_shapes[node.name] = tuple(shape[1:])
         present.append(f"{node.name} {shape}")
@@ -175,7 +181,8 @@ class Rollout:
             until_ended: number of control steps after which the run ends as soon as every robot's
                 first try is over; None: it always runs for `steps`.
             retire: True to stop simulating robots whose first try is over. The trace of a retired
-                robot is meaningless from then on; that of the others is the same, bit for bit.
+                robot is meaningless from then on; the traces of the others stay the same, bit for
+                bit.
             film: robots to keep poses and images of.
             on_step: called after every control step with its number, from 0; True ends the run.
         """

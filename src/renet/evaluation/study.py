@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
@@ -44,18 +44,21 @@ from renet.motor_models import IDEAL, motors_key
 from renet.terminal import ProgressLog, show
 
 if TYPE_CHECKING:
+    from renet.evaluation.env import SimEnv
     from renet.evaluation.evaluator import Evaluator
 
 Part = dict[str, Any]
 """Measures of one batch of robots; JSON after `plain`."""
 Figures = Mapping[str, Figure]
 """Figures by file name, such as "noise.png"."""
+MakeEnv: TypeAlias = "Callable[[tuple[int, ...]], SimEnv]"
+"""Function that makes an environment for robots of these numbers."""
 _PROCESS_SETTINGS = ("jobs", "shard")
 """Settings that no result depends on."""
 
 
 class MissingParts(RenetError):
-    """Raised when the parts of a shard are made, and those of other shards are missing."""
+    """Raised after a shard has made its parts while parts of other shards are missing."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ class Study:
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """Content of the summary beside settings and provenance; `runs` is its list of rows.
 
-        By default that is all of it, and the rows are those of all parts, in order.
+        By default there is nothing else, and the rows are the rows of all parts, in order.
         """
         runs = []
         for part in parts.values():

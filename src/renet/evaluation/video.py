@@ -186,7 +186,7 @@ def _stamp(
     robot: int,
     title: str,
     fault: str,
-    fell: bool = False,
+    fell: bool,
 ) -> None:
     """Draw texts and the robot's depth image on a picture; a robot that fell has no speed."""
     assert trace.film is not None

@@ -28,17 +28,14 @@ SETS = {
 """Numbers of the episodes of each set."""
 
 
-def make_result(
-    summary: Mapping[str, Any], method: str, robot: str, episodes: str
-) -> dict[str, Any]:
+def make_result(summary: Mapping[str, Any], method: str, episodes: str) -> dict[str, Any]:
     """Build the content of a result file.
 
     Args:
         summary: summary of a `BenchmarkStudy`.
         method: name of the method that the policy is a training of.
-        robot: name of the robot that it drives.
-        episodes: the set of episodes that was walked, a key of `SETS`; other words are for tables
-            alone, for `read_result` refuses them.
+        episodes: the set of episodes that was walked, a key of `SETS`. Other words are only good
+            for tables, because `read_result` refuses them.
     """
     origin = summary["provenance"]
     provenance = {"renet": origin["renet_version"]}
@@ -51,7 +48,7 @@ def make_result(
         "policy": {
             "name": origin["bundle"],
             "method": method,
-            "robot": robot,
+            "robot": summary["robot"],
             "sha256": origin["bundle_hash"],
         },
         "provenance": provenance,

@@ -194,7 +194,7 @@ class BenchmarkStudy(Study, PolicyOptions):
     def _result(self, summary: Mapping[str, Any]) -> dict[str, Any]:
         """Content of the result file."""
         method = self.method or summary["provenance"]["bundle"]
-        return make_result(summary, method, summary["robot"], self.episode_set)
+        return make_result(summary, method, self.episode_set)
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """The scores, the other measures, counts, and the scores under each family of faults."""

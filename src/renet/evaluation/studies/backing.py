@@ -16,7 +16,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.rollout import StudyMode, robot_numbers
+from renet.evaluation.rollout import StudyMode, check_names, robot_numbers
 from renet.evaluation.studies.memory import DEAD_CAMERA
 from renet.evaluation.studies.one_try import EDGES, one_tile_cfg, start_facing
 from renet.evaluation.study import Part, Table, WalkingStudy
@@ -58,8 +58,7 @@ class BackingStudy(WalkingStudy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.kinds or not {*self.kinds} <= {*EDGE_SIZES}:
-            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(EDGE_SIZES)}")
+        check_names("kinds", self.kinds, EDGE_SIZES)
         if self.speed > MAX_REVERSE:
             raise RenetError(f"speed must be at most {MAX_REVERSE:g} m/s backward")
         if not 0.0 < self.from_edge <= min(EDGES[kind] for kind in self.kinds):
@@ -123,12 +122,12 @@ def outcomes(positions: np.ndarray, ended: np.ndarray) -> tuple[np.ndarray, np.n
     """Outcome of each robot's first try.
 
     Args:
-        positions: Places along the robots' headings after each control step, [T, N] m.
+        positions: places along the robots' headings after each control step, [T, N] m.
         ended: True where an episode ended in that step, [T, N] bool.
 
     Returns:
-        True for robots that went far enough before their episode ended, [N] bool; True for robots
-        whose episode ended before they had, [N] bool.
+        [N] bool, the robot went far enough before its episode ended; [N] bool, its episode ended
+        first.
     """
     over = np.logical_or.accumulate(ended, axis=0)
     backed = np.any((positions[0] - positions >= _DISTANCE) & ~over, axis=0)

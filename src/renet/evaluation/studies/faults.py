@@ -27,7 +27,7 @@ from renet.evaluation.rollout import FLAT_GROUND, Trial, check_grounds, robot_nu
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.studies.fault_settings import FAULT_GROUNDS, LISTED, ONSETS, Setting
-from renet.evaluation.study import Figures, Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, MakeEnv, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES, fault_class
 from renet.faults.physical import Glass
@@ -176,13 +176,13 @@ class FaultStudy(WalkingStudy):
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part for each fault, one without faults, and one of healthy walking."""
         # Batches of the same robots share an environment, and faults of a group share a run.
-        make = cache(partial(self.make_env, evaluator))
+        make_env = cache(partial(self.make_env, evaluator))
         parts: dict[str, Callable[[], Part]] = {}
         for names in self._fault_groups():
-            walk = cache(partial(self._run_faults, evaluator, make, names))
+            walk = cache(partial(self._run_faults, evaluator, make_env, names))
             for name in names:
                 parts[name] = partial(_part_of, walk, name)
-        parts["no_fault"] = partial(self._run_twins, evaluator, make)
+        parts["no_fault"] = partial(self._run_twins, evaluator, make_env)
         if self.healthy_minutes > 0:
             parts["healthy"] = partial(self._run_healthy, evaluator)
         return parts
@@ -212,12 +212,14 @@ class FaultStudy(WalkingStudy):
                 robots = count
         return groups
 
-    def _run_faults(self, evaluator: Evaluator, make: Any, names: Sequence[str]) -> dict[str, Part]:
+    def _run_faults(
+        self, evaluator: Evaluator, make_env: MakeEnv, names: Sequence[str]
+    ) -> dict[str, Part]:
         """Walk all settings and modes of some faults side by side; returns each fault's part."""
         trials = {name: self.trials(self.batches[name]) for name in names}
         everybody = list(chain(*trials.values()))
         title = f"{list(self.batches).index(names[-1]) + 1}/{len(self.batches)} {names[-1]}"
-        env = make(tuple(robot_numbers(everybody)))
+        env = make_env(tuple(robot_numbers(everybody)))
         trace = self.walk(evaluator, env, title, everybody)
         # What mode switch would have answered to the same images.
         paper = replay_selector(evaluator.make_selector("switch", len(everybody)), trace.anomaly)
@@ -255,14 +257,14 @@ class FaultStudy(WalkingStudy):
         return fault_metrics.robot_measures(trace, onset, self.speed, self.steps)
 
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
-        """Further contents of a batch's part, for presets; `modes` are those of its robots."""
+        """Further contents of a batch's part, for presets; `modes` are its robots' modes."""
         return {}
 
-    def _run_twins(self, evaluator: Evaluator, make: Any) -> Part:
+    def _run_twins(self, evaluator: Evaluator, make_env: MakeEnv) -> Part:
         """Walk the twins of all faults' robots, with cameras that never fail."""
         each = self.robots_each
         trials = self.trials_on(self.grounds)
-        env = make(tuple(robot_numbers(trials)))
+        env = make_env(tuple(robot_numbers(trials)))
         trace = self.walk(evaluator, env, "no fault", trials)
         runs = []
         until = round((max(self.onsets) + self.lasts) / CONTROL_DT)
@@ -440,7 +442,7 @@ def _part_of(walk: Callable[[], Mapping[str, Part]], name: str) -> Part:
 
 def _healthy_walks(no_fault: Part, healthy: Part) -> dict[str, Any]:
     """False switches with healthy cameras, of the faults' twins and of further walks together."""
-    # The time before the faults is the same in all batches: only that of the twins counts.
+    # The time before the faults is the same in all batches, so it counts once, in the twins' batch.
     hours = no_fault["healthy_robot_hours"] + healthy.get("robot_hours", 0)
     switches = no_fault["false_switches"] + healthy.get("false_switches", 0)
     return {

@@ -211,9 +211,7 @@ class MarginsStudy(WalkingStudy):
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
         """The rows, and the margin of each axis, ground and mode."""
-        runs = []
-        for part in parts.values():
-            runs += part["runs"]
+        runs = super().summarise(parts, evaluator)["runs"]
         margins = []
         for axis in self.axes:
             unit = MARGIN_AXES[axis].unit

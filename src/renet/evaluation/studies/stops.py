@@ -18,7 +18,7 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.rollout import StudyMode, robot_numbers
+from renet.evaluation.rollout import StudyMode, check_names, robot_numbers
 from renet.evaluation.studies.one_try import one_tile_cfg, start_facing
 from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.interface import CONTROL_DT
@@ -51,8 +51,7 @@ class StopsStudy(WalkingStudy):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.kinds or not {*self.kinds} <= {*BARRIERS}:
-            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(BARRIERS)}")
+        check_names("kinds", self.kinds, BARRIERS)
         if not self.height > 0.0:
             raise RenetError(f"height must be positive, got {self.height} m")
 

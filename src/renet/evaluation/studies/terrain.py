@@ -26,9 +26,16 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
-from renet.evaluation.rollout import FLAT_GROUND, PARKOUR, StudyMode, Trial, robot_numbers
+from renet.evaluation.rollout import (
+    FLAT_GROUND,
+    PARKOUR,
+    StudyMode,
+    Trial,
+    check_names,
+    robot_numbers,
+)
 from renet.evaluation.studies.one_try import NEAREST, start_facing
-from renet.evaluation.study import Figures, Part, Table, WalkingStudy
+from renet.evaluation.study import Figures, MakeEnv, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FaultSchedule, parse_fault
 from renet.interface import CONTROL_DT, OWN_GROUND, Terrain
@@ -88,13 +95,12 @@ class TerrainStudy(WalkingStudy):
     """True if the same robots walk on every level."""
     grounds: ClassVar[tuple[str, ...]] = tuple(tiles())
     sizes: ClassVar[Mapping[str, tuple[float, float]]] = {}
-    """Sizes at levels 1 and 10, m, of tiles whose sizes are not the curriculum's."""
+    """Sizes at levels 1 and 10, m, of the tiles that are not of the curriculum's sizes."""
     quick_levels: ClassVar[tuple[int, ...]] = tuple(range(1, LEVELS + 1))
     quick_robots: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
-        if not self.kinds or not {*self.kinds} <= {*self.grounds}:
-            raise RenetError(f"kinds {self.kinds}: choose among {', '.join(self.grounds)}")
+        check_names("kinds", self.kinds, self.grounds)
         if not self.levels or len({*self.levels} & {*range(1, LEVELS + 1)}) < len(self.levels):
             raise RenetError(f"levels {self.levels}: choose, once each, among 1 to {LEVELS}")
         super().__post_init__()
@@ -145,12 +151,12 @@ class TerrainStudy(WalkingStudy):
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each kind of tile, and for the paper's table one on flat ground."""
         # Batches of the same robots share an environment.
-        make = cache(partial(self._make_env, evaluator))
+        make_env = cache(partial(self._make_env, evaluator))
         parts: dict[str, Callable[[], Part]] = {}
         if not self.one_try:
             parts["flat"] = partial(self._walk_flat, evaluator)
         for kind in self.kinds:
-            parts[kind] = partial(self._walk_tiles, evaluator, make, kind)
+            parts[kind] = partial(self._walk_tiles, evaluator, make_env, kind)
         return parts
 
     def _walk_flat(self, evaluator: Evaluator) -> Part:
@@ -161,10 +167,10 @@ class TerrainStudy(WalkingStudy):
         trace = evaluator.rollout(env, trials, self.seed).run(steps, "flat")
         return {"falls": int(trace.fell.sum())}
 
-    def _walk_tiles(self, evaluator: Evaluator, make: Any, kind: str) -> Part:
+    def _walk_tiles(self, evaluator: Evaluator, make_env: MakeEnv, kind: str) -> Part:
         """Walk all levels and modes of one kind of tile, side by side."""
         settings = self.settings
-        env, trials = self.robots_on(make, [(kind, *setting) for setting in settings])
+        env, trials = self.robots_on(make_env, [(kind, *setting) for setting in settings])
         steps = round(self.seconds / CONTROL_DT)
         least = 0 if self.one_try else None
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
@@ -176,7 +182,7 @@ class TerrainStudy(WalkingStudy):
         for (level, mode), group in zip(settings, groups, strict=True):
             runs.append(self._run(kind, level, mode, group))
             levels_passed.append(passed(group))
-        # The paper's table is that of the first mode.
+        # The paper's table holds the first mode alone.
         first = trace.robots(np.array([trial.mode == self.modes[0] for trial in trials]))
         walks = ~first.over
         along = np.minimum(first.forward_velocity, self.speed) / (self.speed + 1e-5)
@@ -190,12 +196,12 @@ class TerrainStudy(WalkingStudy):
         }
 
     def robots_on(
-        self, make: Callable[[tuple[int, ...]], SimEnv], groups: Sequence[tuple[str, int, str]]
+        self, make_env: MakeEnv, groups: Sequence[tuple[str, int, str]]
     ) -> tuple[SimEnv, list[Trial]]:
         """Put robots on their tiles.
 
         Args:
-            make: makes the environment of robots of some numbers.
+            make_env: makes the environment of robots of these numbers.
             groups: kind, level (1 for flat ground) and mode of each group of robots.
 
         Returns:
@@ -215,7 +221,7 @@ class TerrainStudy(WalkingStudy):
                 trials.append(Trial(mode, self.schedule, number))
                 levels.append(level - 1)
                 columns.append(place)
-        env = make(tuple(robot_numbers(trials)))
+        env = make_env(tuple(robot_numbers(trials)))
         env.place(np.array(levels), np.array(columns))
         return env, trials
 
