@@ -1,4 +1,4 @@
-"""Conditions of a study beside the ground: those of training, by default, or nominal ones.
+"""Conditions of a study other than the ground: as in training, by default, or nominal.
 
 Under nominal conditions bodies, starts and the camera's mount differ a little, and images have
 noise; the other sensors are exact, images are never late, and robots are not pushed.

@@ -111,7 +111,7 @@ def read_run(argument: str, smooth: int) -> Run:
 
 
 def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
-    """Means of `count` values in a row, [I - count + 1] of [I], without those that are NaN."""
+    """Means of `count` values in a row, [I - count + 1] of [I], without NaNs."""
     # [I - count + 1, count]
     windows = np.lib.stride_tricks.sliding_window_view(values, count)
     known = ~np.isnan(windows)
@@ -137,7 +137,7 @@ def last_values(
 ) -> list[dict[str, Any]]:
     """Mean and spread of each curve over the runs of a label, at the last step they have in common.
 
-    The standard deviation is that of a sample; it is None for a single run.
+    The standard deviation is a sample's (n - 1); it is None for a single run.
     """
     # Longer runs are read where the shortest ends, or the comparison would favour them.
     end = min(run.steps[-1] for run in runs)

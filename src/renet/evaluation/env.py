@@ -75,7 +75,7 @@ def robot_of(manifest: Manifest) -> Robot:
 def terrain_env_cfg(
     terrain: str | Mapping[str, int] | TerrainEntityCfg, robot: Robot
 ) -> RenetEnvCfg:
-    """Task for measurements on a terrain, whose random tiles differ from those of training.
+    """Task for measurements on a terrain; its random tiles differ from the training tiles.
 
     Args:
         terrain: "flat"; "parkour", all tiles at all levels; grounds side by side for
@@ -105,7 +105,7 @@ def study_env_cfg(
     Args:
         task: configuration, which is changed in place, or id of a task.
         speed: commanded speed, m/s.
-        privileged: groups of observations to compute beside those of a real robot.
+        privileged: groups of observations to compute in addition to a real robot's.
         told: form of the command that the policy was trained with, heading or twist.
     """
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
@@ -181,7 +181,7 @@ class SimEnv:
         self.env.event_manager.apply("startup", self._first)
         for field in self.env.sim.expanded_fields:
             if not getattr(self.env.sim.wp_model, field).size:
-                continue  # mjlab cannot read an empty field, such as that of tendons.
+                continue  # mjlab cannot read an empty field, such as a tendon's.
             values = getattr(self.env.sim.model, field)
             values[:] = values[self._twin]
         # These are no fields of the simulation's model.
@@ -337,7 +337,7 @@ class SimEnv:
             noisy = observation["proprioception"] + noise[self._number]
             observation = observation | {"proprioception": noisy}
         self.observation = observation
-        """Newest observations by group, those of `Evaluator.privileged` included."""
+        """Newest observations by group, including `Evaluator.privileged`."""
         velocity = self._robot.root_link_lin_vel_w[:, :2]
         above = self._robot.root_link_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
         return StepResult(

@@ -61,7 +61,7 @@ class Evaluator:
         Args:
             bundle: folder of the bundle; by default the one that comes with renet.
             engine: auto, native or warp.
-            conditions: training, for those of the bundle's task, or nominal.
+            conditions: training, for the conditions of the bundle's task, or nominal.
             motors: motors of the robots: ideal, go1, or a file of `renet identify`.
         """
         self.bundle = Bundle.load(bundle, threads=THREADS)
@@ -123,7 +123,7 @@ class Evaluator:
             robots: a number for each robot; robots with the same number are twins.
             speed: commanded speed, m/s.
             seed: seed of bodies and starts.
-            camera_noise: standard deviation of every depth, m; None: that of the bundle's training.
+            camera_noise: standard deviation of every depth, m; None: as in the bundle's training.
 
         Raises:
             RenetError: the task's robot is not the bundle's, or the seed is out of range.

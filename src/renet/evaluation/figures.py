@@ -40,7 +40,7 @@ INK = "#222730"
 FAINT = "#69707b"
 """Colour of what is less important."""
 BACKGROUND = "#f6f7f9"
-"""Colour of a figure's background, and that of the drawings of the documents."""
+"""Colour of the background of figures and of the drawings in the documents."""
 _CORNER = 0.08
 """Radius of a figure's corners, inches."""
 FIGURE_WIDTH = 5.6

@@ -63,7 +63,7 @@ def share_interval(successes: np.ndarray) -> tuple[float, float]:
     """Clopper and Pearson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0.
 
     It is exact: it covers the true share at least 95 % of the time, however few robots there are.
-    Unlike a bootstrap's, it has a width even if all robots end alike.
+    Unlike a bootstrap interval, it has a width even if all robots succeed or all fail.
     """
     test = scipy.stats.binomtest(int(successes.sum()), len(successes))
     low, high = test.proportion_ci(0.95, "exact")

@@ -128,7 +128,7 @@ class Trace(TrueState):
         """End of each robot's first try.
 
         Returns:
-            [N] bool, the robot crossed: the episode ended otherwise than by a fall;
+            [N] bool, the robot crossed: the episode ended, and not by a fall;
             [N] bool, it fell; [N] s, the time it took, NaN if the try did not end.
         """
         # The first step in which the episode ended; step 0 where it never did.

@@ -227,7 +227,7 @@ class AdaptedEvaluator(Evaluator):
             path: file of the model.
             adapter: name of an adapter, or a Python file, see `find_adapter`.
             engine: auto, native or warp.
-            conditions: training, for those of that bundle's task, or nominal.
+            conditions: training, for the conditions of that bundle's task, or nominal.
         """
         self.adapter = find_adapter(adapter)
         demand_name(f"adapter {adapter}: bundle", self.adapter.bundle, SHIPPED)

@@ -55,10 +55,10 @@ def crossed_shares(rows: Sequence[EpisodeRow]) -> np.ndarray:
 def score_interval(crossed: np.ndarray) -> tuple[float, float]:
     """95 % interval of the mean of shares [n], one for each episode; n > 0.
 
-    It is bootstrapped. Where every share is 0, or every one is 1, as of a policy that does not walk
-    in a few episodes, a bootstrap has nothing to draw but that, and its interval no width: then it
-    is Clopper and Pearson's, which holds for shares, too. It has no width where all shares are
-    alike in between.
+    It is bootstrapped, unless every share is 0 or every share is 1, as for a policy that cannot
+    walk in any of a few episodes. All resamples are equal then, and a bootstrap interval would have
+    no width. Clopper and Pearson's interval, which also holds for shares, takes its place. If all
+    shares are equal and in between, the interval has no width.
     """
     if crossed.max() == 0.0 or crossed.min() == 1.0:
         return share_interval(crossed)

@@ -50,8 +50,8 @@ _FIRST_SPEED = 0.5
 def course_env_cfg(courses: dict[str, Course], robot: Robot) -> RenetEnvCfg:
     """Task of courses side by side, by name, with the robots, sensors and pushes of training.
 
-    The ranges are those of the training recipe at the time when version 3 was frozen, and those of
-    motors measured on real robots.
+    The ranges come from the training recipe at the time when version 3 was frozen, and from motors
+    measured on real robots.
     """
     cfg = tile_env_cfg(course_row(courses), play=True, robot=robot)
     trained = parkour_env_cfg(robot=robot)
@@ -248,7 +248,7 @@ def _values(episodes: Sequence[Episode], name: str) -> np.ndarray:
 class PlacedFaults:
     """Camera faults of N robots that begin at a place of each course and last for some seconds.
 
-    The interface is that of `renet.faults.Injector`, whose faults begin at a time.
+    It has the interface of `renet.faults.Injector`, whose faults begin at a time.
     """
 
     def __init__(

@@ -45,7 +45,7 @@ _SIGNIFICANCE = 0.01
 
 
 class ShownImages:
-    """Environment whose robots are shown other images than their cameras take; see `VIEWS`."""
+    """Environment that shows robots other images than their cameras take; see `VIEWS`."""
 
     def __init__(self, env: EvalEnv, views: Sequence[str], each: int) -> None:
         """Wrap an environment.
@@ -168,7 +168,7 @@ class CameraUseStudy(LevelStudy):
         return {"camera_use.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Robots that cross each ground, and that walk otherwise than their twins, by view."""
+        """Robots that cross each ground, and robots that leave their twins' way, by view."""
         crossed = {(run["ground"], run["view"]): run["crossed"] for run in summary["runs"]}
         rows: list[tuple[Any, ...]] = []
         for ground in self.grounds:

@@ -1,7 +1,7 @@
 """Findings of the study of single faults: claims, harmful settings and missed faults.
 
 A walk over obstacles is chaotic: twins diverge by chance, in both directions. Falls under a fault
-are therefore compared with those of the same robots without it by Fisher's exact test (1922).
+are therefore compared with falls of the same robots without it, by Fisher's exact test (1922).
 """
 
 from typing import Any
@@ -67,7 +67,7 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
 def harmful(runs: Runs, baseline: Runs) -> Runs:
     """Settings in which robots survive less often in mode memory than in mode blind.
 
-    Significance is that of a fault on a ground, over all its severities and onsets.
+    Significance is judged for each fault on each ground, over all severities and onsets.
     """
     survival = {setting_of(run): run["survival"] for run in select(runs, mode="blind")}
     worse = _beyond_chance(runs, baseline, "memory", "blind")
@@ -89,8 +89,8 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
 def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, Any]]:
     """Rows of mode camera, by setting, in which more robots fall than of their healthy twins.
 
-    `beyond_chance` is that of all severe settings of a fault on the ground, or of its mild ones if
-    it has no severe ones.
+    `beyond_chance` is judged over all severe settings of the fault on the ground, or over its mild
+    ones if it has no severe ones.
     """
     severe = [run for run in runs if run["severity"] >= _SEVERE]
     mild = set(column(runs, "fault")) - set(column(severe, "fault"))
@@ -203,7 +203,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
 
 
 def _blind_claims(runs: Runs) -> Runs:
-    """Claims that monitors notice frozen and uniform images, beside the rule of mode switch."""
+    """Claims that monitors notice frozen and uniform images, compared with mode switch's rule."""
     # Severity 5 repeats one image, or leaves one value in it.
     worst = select(runs, mode="memory", severity=5)
     claims = []

@@ -128,7 +128,7 @@ class MemoryStudy(LevelStudy):
             rows = []
             for run in sorted(runs, key=lambda run: run["without_s"]):
                 if run["mode"] == "blind":
-                    # Mode blind uses no image: its share is that of all times.
+                    # Mode blind uses no image: its share is the same for all times.
                     rows += [run | {"without_s": time} for time in times]
                 else:
                     rows.append(run)

@@ -81,7 +81,7 @@ class NoiseStudy(FaultStudy):
             curves[mode] = {}
             for noise, part in batches.items():
                 curves[mode][noise] = np.array(part["speed"].get(mode, blind))
-        # The timeline is that of the strongest Gaussian noise, if there is one.
+        # The timeline shows the strongest Gaussian noise, if there is one.
         gaussian = [noise for noise in batches if noise[0] == "gaussian"]
         strongest = max(gaussian or list(batches)[1:], key=lambda noise: noise[1])
         onset = self.onsets[0]
@@ -121,7 +121,7 @@ class NoiseStudy(FaultStudy):
                 if run["mode"] != mode:
                     continue
                 if mode != "memory":
-                    # The delay is that of monitors, which robots of other modes do not obey.
+                    # The delay is the monitors', which robots of other modes do not obey.
                     run = run | {"detection_delay_s": None}
                 rows.append(run)
         return rows

@@ -116,12 +116,12 @@ class LevelStudy(OneTryStudy):
             kind, level = ground.split(":")
             title = f"{number}/{len(self.grounds)} {ground}"
             walk = partial(self.walk_on, evaluator, kind, int(level), title)
-            # The name is that of a file, which has no colon on some systems.
+            # The name is part of a file name, which has no colon on some systems.
             parts[ground.replace(":", "_")] = walk
         return parts
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
-        """Walk on one ground and return its part; the title is that of the progress."""
+        """Walk on one ground and return its part, with a title for the progress."""
         raise NotImplementedError
 
     def by_ground(self, parts: Mapping[str, Part]) -> dict[str, Part]:

@@ -145,7 +145,7 @@ def stillness(poses: np.ndarray, settled: int) -> tuple[np.ndarray, np.ndarray]:
         Horizontal distance from the position at `settled` to the last one, [N] m; mean speed of the
         joints from then on, [T - settled, N] rad/s.
     """
-    # The first seven positions are those of the base.
+    # The first seven positions are the base's.
     drift = np.linalg.norm(poses[-1, :, :2] - poses[settled, :, :2], axis=-1)
     speed = np.abs(np.diff(poses[settled - 1 :, :, 7:], axis=0)).mean(axis=-1) / CONTROL_DT
     return drift, speed
