@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 
 from renet.identification import replay
-from renet.identification.fit import END_STOP, MotorFitter, per_joint, standard_error, valid_rows
+from renet.identification.fit import (
+    END_STOP,
+    MotorFitter,
+    per_joint,
+    per_kind,
+    standard_error,
+    valid_rows,
+)
 from renet.identification.motion_log import MotionLog
 from renet.identification.replay import DELAY, SuspendedRobot
 from renet.interface import JOINTS
@@ -59,7 +66,10 @@ def test_jacobian_is_that_of_one_parameter_at_a_time(robot, log, groups):
 
 def test_kinds_are_spread_over_legs():
     kinds = np.arange(12.0).reshape(3, 4)
-    np.testing.assert_array_equal(per_joint(kinds), np.tile(kinds, (4, 1)))
+    joints = per_joint(kinds)
+    np.testing.assert_array_equal(joints, np.tile(kinds, (4, 1)))
+    joints[:3] += 4.0
+    np.testing.assert_array_equal(per_kind(joints), kinds + 1.0)
 
 
 def test_rows_at_an_end_stop_are_invalid(robot, log):

@@ -66,10 +66,15 @@ def valid_rows(robot: SuspendedRobot, log: MotionLog) -> np.ndarray:
 
 
 def per_joint(motors: np.ndarray) -> np.ndarray:
-    """Return the motors of each joint, [12, 4], given those of kinds [3, 4] or joints [12, 4]."""
+    """Return a row of motors for each joint, [12, 4], given one for each kind or for each joint."""
     if len(motors) == len(KINDS):
         return motors[KIND_INDEX]
     return motors
+
+
+def per_kind(motors: np.ndarray) -> np.ndarray:
+    """Average the motors of each kind of joint over the legs: [12, 4] to [3, 4]."""
+    return np.stack([motors[kind == KIND_INDEX].mean(axis=0) for kind in range(len(KINDS))])
 
 
 def check_motion(log: MotionLog, rows: range, is_valid: np.ndarray) -> None:
@@ -112,7 +117,7 @@ class MotorFitter:
         self._iterations = 0
 
     def fit(self, start: np.ndarray) -> Fit:
-        """Fit motors, beginning with those of kinds (G = 3) or of joints (G = 12), [G, 4]."""
+        """Fit motors, starting from `start`, [G, 4]: one row for each kind or for each joint."""
         groups = len(start)
         scale = np.tile(SCALE, (groups, 1))
         least = np.tile(LEAST, (groups, 1))
@@ -168,7 +173,7 @@ class MotorFitter:
         if groups == len(KINDS):
             columns = slopes
         else:
-            # A joint's own part of its kind's slopes: those of its leg.
+            # Of its kind's slopes, a joint's motor causes those of its own leg.
             leg = np.arange(len(JOINTS)) // len(KINDS)
             same_leg = leg[:, None] == leg
             columns = slopes[KIND_INDEX] * same_leg[:, None, None, :]

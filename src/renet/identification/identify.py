@@ -14,19 +14,28 @@ import numpy as np
 import tyro
 
 from renet.errors import RenetError, unknown_name
-from renet.identification.fit import WARM_UP, Fit, MotorFitter, check_motion, per_joint, valid_rows
+from renet.identification.fit import (
+    KIND_INDEX,
+    WARM_UP,
+    Fit,
+    MotorFitter,
+    check_motion,
+    per_joint,
+    per_kind,
+    valid_rows,
+)
 from renet.identification.motion_log import CsvCfg, MotionLog, read_motion_log
 from renet.identification.replay import SuspendedRobot
 from renet.interface import JOINTS
-from renet.motors import KINDS, PARAMETERS, MotorFit, MotorParameters, joint_kind, write_motors
+from renet.motors import KINDS, PARAMETERS, MotorFit, MotorParameters, write_motors
 from renet.robots import Robot, robots
 from renet.terminal import show
 from renet.version import code_version
 
 MIN_SECONDS = 2.0
-"""Least duration of the part that is fitted, and of the part that is held out."""
+"""Shortest duration of the part that is fitted, and of the part that is held out, s."""
 OUTSIDE = 0.3
-"""rad by which a joint may be measured beyond its limits: zeros of encoders are not exact."""
+"""Angle by which a joint may be measured beyond its limits, rad, as encoders' zeros are inexact."""
 HEADER = ("motor", "armature, kg m²", "damping, N m s/rad", "friction, N m", "delay, ms")
 PRINTED_UNITS = (1.0, 1.0, 1.0, 1000.0)
 """Factors from `motors.PARAMETERS` to the columns of the table."""
@@ -67,7 +76,7 @@ def identify(cfg: IdentifyCfg) -> Path:
     """Fit motors to the first part of a log, judge them on the rest and write them; returns `out`.
 
     Raises:
-        RenetError: a log that cannot be used, an unknown robot, or a file that cannot be written.
+        RenetError: The log cannot be used, the robot is unknown, or the file cannot be written.
     """
     description = look_up_robot(cfg.robot)
     _check_out(cfg.out)
@@ -78,7 +87,7 @@ def identify(cfg: IdentifyCfg) -> Path:
     check_motion(log, fitted, valid_rows(robot, log))
     start = robot.described_motors
     if cfg.per == "kind":
-        start = _mean_of_kinds(start)
+        start = per_kind(start)
     _say(f"fitting {len(fitted) * log.period:.1f} s; each iteration replays them 13 times")
     fit = MotorFitter(robot, log, fitted, _say).fit(start)
     evidence = _evidence(cfg, log, robot, fit, (fitted, held_out))
@@ -91,14 +100,8 @@ def identify(cfg: IdentifyCfg) -> Path:
     return cfg.out
 
 
-def _mean_of_kinds(motors: np.ndarray) -> np.ndarray:
-    """Mean of the legs' parameters for each kind of joint: [12, P] to [3, P]."""
-    kinds = np.array([joint_kind(joint) for joint in JOINTS])
-    return np.stack([motors[kinds == kind].mean(axis=0) for kind in KINDS])
-
-
 def look_up_robot(name: str) -> Robot:
-    """The description of a robot by its name or the name's last word, such as go2."""
+    """Find the description of a robot by its name or the name's last word, such as go2."""
     for description in robots().values():
         if name.lower() in (description.name.lower(), description.name.lower().split()[-1]):
             return description
@@ -110,7 +113,7 @@ def _say(line: str) -> None:
 
 
 def _check_out(path: Path) -> None:
-    """Raise RenetError where no file can be written, before the fit takes its time."""
+    """Raise RenetError if no file can be written at a path, before the fit takes its time."""
     if path.is_dir():
         raise RenetError(f"cannot write the motors {path}: it is a folder")
     folder = path.absolute().parent
@@ -121,7 +124,7 @@ def _check_out(path: Path) -> None:
 
 
 def _split(log: MotionLog, share: float) -> tuple[range, range]:
-    """Rows that are fitted, and later ones that are held out."""
+    """Split the rows of a log into those that are fitted and those that are held out."""
     middle = round(share * len(log))
     shortest = min(middle, len(log) - middle) * log.period
     if shortest < MIN_SECONDS:
@@ -133,7 +136,7 @@ def _split(log: MotionLog, share: float) -> tuple[range, range]:
 
 
 def _check_positions(robot: SuspendedRobot, log: MotionLog) -> None:
-    """Raise RenetError for a joint that is measured where it cannot be."""
+    """Raise RenetError if a joint is measured far beyond its limits."""
     low = log.position.min(axis=0)
     high = log.position.max(axis=0)
     for joint, least, most, lower, upper in zip(
@@ -205,8 +208,8 @@ def _rmse(errors: np.ndarray, weight: np.ndarray, period: float) -> dict[str, fl
     square = errors[round(WARM_UP / period) :] ** 2
     weight = weight[round(WARM_UP / period) :]
     result = {"all": square.mean(), "within_limits": square[weight].mean()}
-    for kind in KINDS:
-        result[kind] = square[:, [joint_kind(joint) == kind for joint in JOINTS]].mean()
+    for number, kind in enumerate(KINDS):
+        result[kind] = square[:, number == KIND_INDEX].mean()
     return {name: round(math.sqrt(value), 5) for name, value in result.items()}
 
 

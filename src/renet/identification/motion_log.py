@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +23,13 @@ from renet.interface import CONTROL_DT, JOINTS, LEGS
 from renet.motors import KINDS, joint_kind
 
 MAX_LOG = 100 * MEGABYTE
-"""Bytes of a CSV file: 25 minutes at 200 Hz."""
+"""Largest size of a CSV file, bytes: 25 minutes at 200 Hz."""
 MAX_HEADER = 65_536
-"""Bytes of its first line."""
+"""Largest size of its first line, bytes."""
 MIN_RATE = 40.0
-"""Hz; at lower ones the motion between two rows is anyone's guess."""
+"""Lowest rate, Hz; at a lower one, the motion between two rows is unknown."""
 UNEVEN = 0.1
-"""Share of a time step by which one may differ from the others."""
+"""Largest difference between two time steps, as a share of one."""
 QUANTITIES = ("target", "position", "velocity")
 GAINS = ("kp", "kd")
 
@@ -71,7 +72,7 @@ class CsvCfg:
                 raise RenetError(f"--{name} takes one number, or three: of hip, thigh and calf")
 
     def columns(self, template: str) -> list[str]:
-        """Names of the columns of `interface.JOINTS`, in their order."""
+        """Return the names of a quantity's columns in the order of `interface.JOINTS`."""
         names = []
         for joint in JOINTS:
             leg = joint.split("_")[0]
@@ -91,26 +92,26 @@ class MotionLog:
     """Motion of a robot's joints at a constant rate; arrays follow `interface.JOINTS`."""
 
     period: float
-    """Seconds from one row to the next."""
+    """Time from one row to the next, s."""
     target: np.ndarray
-    """[T, 12] rad, each in force until the next row."""
+    """Joint targets, [T, 12] rad; each holds until the next row."""
     position: np.ndarray
-    """[T, 12] rad, measured when the row's target was sent."""
+    """Joint positions, [T, 12] rad, measured when the row's target was sent."""
     velocity: np.ndarray
-    """[T, 12] rad/s, likewise."""
+    """Joint velocities, [T, 12] rad/s, measured at the same time."""
     stiffness: np.ndarray
-    """[12] Kp that the servos were told, N m/rad."""
+    """Kp of the servos, [12] N m/rad."""
     damping: np.ndarray
-    """[12] Kd that the servos were told, N m s/rad."""
+    """Kd of the servos, [12] N m s/rad."""
     sha256: str = field(default="", repr=False)
-    """Of the file, hexadecimal."""
+    """SHA-256 of the file, hexadecimal."""
 
     def __len__(self) -> int:
         return len(self.target)
 
     @property
     def seconds(self) -> float:
-        """Duration."""
+        """Duration of the log, s."""
         return len(self) * self.period
 
 
@@ -118,12 +119,12 @@ def read_motion_log(path: Path, csv: CsvCfg) -> MotionLog:
     """Read a log of either kind.
 
     Args:
-        path: of a CSV file, or of a recording of `renet deploy` (MCAP).
-        csv: names of the CSV file's columns.
+        path: Path of a CSV file, or of a recording of `renet deploy` (MCAP).
+        csv: Names of the CSV file's columns.
 
     Raises:
-        RenetError: unreadable, a column that is missing, values that are not finite, unequal time
-            steps, or gains that are unknown or change.
+        RenetError: The file cannot be read, a column is missing, a value is not finite, time steps
+            are unequal, or gains are unknown or change.
     """
     data = read_bytes(path, MAX_LOG, "log")
     sha256 = hashlib.sha256(data).hexdigest()
@@ -136,6 +137,36 @@ def read_motion_log(path: Path, csv: CsvCfg) -> MotionLog:
 
 
 def _from_csv(data: bytes, csv: CsvCfg, sha256: str) -> MotionLog:
+    """Read a CSV file; raises RenetError as `read_motion_log`."""
+    header = _read_header(data)
+    columns = {name: csv.columns(getattr(csv, name)) for name in QUANTITIES}
+    for name in GAINS:
+        if not getattr(csv, name):
+            columns[name] = _gain_columns(header, name)
+    if csv.rate is None:
+        columns["time"] = [csv.time]
+    names = dict.fromkeys(chain.from_iterable(columns.values()))
+    table = _read_columns(data, header, [*names])
+    values = {}
+    for quantity, members in columns.items():
+        values[quantity] = np.stack([table[name] for name in members], axis=1)
+    gains = {}
+    for name in GAINS:
+        given = getattr(csv, name)
+        gains[name] = _of_kinds(given) if given else _constant(values[name])
+    return MotionLog(
+        period=_period(values["time"][:, 0]) if csv.rate is None else 1.0 / csv.rate,
+        target=values["target"],
+        position=values["position"],
+        velocity=values["velocity"],
+        stiffness=gains["kp"],
+        damping=gains["kd"],
+        sha256=sha256,
+    )
+
+
+def _read_header(data: bytes) -> list[str]:
+    """Return the names in a CSV file's first line; raises RenetError if there are none."""
     first_line = data[:MAX_HEADER].partition(b"\n")[0]
     try:
         header = [name.strip().strip('"') for name in first_line.decode("utf-8-sig").split(",")]
@@ -143,33 +174,17 @@ def _from_csv(data: bytes, csv: CsvCfg, sha256: str) -> MotionLog:
         raise RenetError("its first line is not text: a log is a CSV file") from error
     if len(first_line) == MAX_HEADER or not "".join(header).isprintable():
         raise RenetError("its first line is no header of a CSV file")
-    wanted = {name: csv.columns(getattr(csv, name)) for name in QUANTITIES}
-    gains = {name: _gain_columns(header, name) for name in GAINS if not getattr(csv, name)}
-    names = [column for columns in (wanted | gains).values() for column in columns]
-    names += [csv.time] if csv.rate is None else []
-    table = _read_columns(data, header, list(dict.fromkeys(names)))
-    period = _period(table[csv.time]) if csv.rate is None else 1.0 / csv.rate
-    told = {}
-    for name in GAINS:
-        if name in gains:
-            told[name] = _constant(np.stack([table[column] for column in gains[name]], axis=1))
-        else:
-            values = getattr(csv, name)
-            told[name] = np.array(
-                [values[KINDS.index(joint_kind(j)) % len(values)] for j in JOINTS]
-            )
-    motion = {name: np.stack([table[column] for column in wanted[name]], axis=1) for name in wanted}
-    return MotionLog(period, **motion, stiffness=told["kp"], damping=told["kd"], sha256=sha256)
+    return header
 
 
 def _of_kinds(values: Sequence[float]) -> np.ndarray:
-    """A value for each joint, [12], from one for all, or three for hip, thigh and calf."""
+    """Return a value for each joint, [12], given one for all, or those of hip, thigh and calf."""
     kinds = np.broadcast_to(values, len(KINDS))
     return np.array([kinds[KINDS.index(joint_kind(joint))] for joint in JOINTS])
 
 
 def _gain_columns(header: list[str], name: str) -> list[str]:
-    """Twelve columns that hold a gain: the same one for all joints, or one for each."""
+    """Return the names of a gain's twelve columns: the same one for all joints, or one for each."""
     own = [f"{joint}_{name}" for joint in JOINTS]
     if set(own) <= set(header):
         return own
@@ -179,7 +194,20 @@ def _gain_columns(header: list[str], name: str) -> list[str]:
 
 
 def _read_columns(data: bytes, header: list[str], names: list[str]) -> dict[str, np.ndarray]:
-    """Columns [T] by name; raises RenetError naming one that is missing or a value that is none."""
+    """Read columns of a CSV file.
+
+    Args:
+        data: Content of the file.
+        header: Names in its first line.
+        names: Names of the columns to read.
+
+    Returns:
+        Columns [T] by name.
+
+    Raises:
+        RenetError: A column is missing or there twice, a row has another number of values, or a
+            value is not a finite number.
+    """
     for name in names:
         if name not in header:
             nearest = get_close_matches(name, header, n=1)
@@ -192,12 +220,13 @@ def _read_columns(data: bytes, header: list[str], names: list[str]) -> dict[str,
         lines = data.decode().splitlines()[1:]
         if len(lines) < 2:
             raise RenetError("it has no rows")
-        # Whole rows, since a row that ends early must not pass for one.
+        # All columns are counted, so that a row that was cut short does not pass.
         counts = {line.count(",") + 1 for line in lines if line.strip()}
         if len(counts) > 1 or counts - {len(header)}:
             raise RenetError(f"its rows must have {len(header)} values, as its header has")
         values = np.loadtxt(lines, delimiter=",", usecols=places, ndmin=2, comments=None)
-    except ValueError as error:  # Also of bytes that are no text.
+    # Bytes that are no text raise it, too.
+    except ValueError as error:
         raise RenetError(str(error).splitlines()[0]) from error
     bad = np.argwhere(~np.isfinite(values) | (np.abs(values) > 1e12))
     if len(bad):
@@ -207,7 +236,7 @@ def _read_columns(data: bytes, header: list[str], names: list[str]) -> dict[str,
 
 
 def _period(time: np.ndarray) -> float:
-    """Seconds between rows [T]; raises RenetError where they are unequal."""
+    """Return the time between rows, s, from their times [T]; raises RenetError if it varies."""
     steps = np.diff(time)
     period = float(np.median(steps))
     if not 0.0 < period <= 1.0 / MIN_RATE:
@@ -225,7 +254,7 @@ def _period(time: np.ndarray) -> float:
 
 
 def _constant(gains: np.ndarray) -> np.ndarray:
-    """Gains [12] of rows [T, 12]; raises RenetError where they change or are negative."""
+    """Return the gains [12] of rows [T, 12]; raises RenetError if they change or are negative."""
     changed = (gains != gains[0]).any(axis=1)
     if changed.any():
         raise RenetError(f"Kp or Kd changes in line {int(changed.argmax()) + 2}: cut it there")
@@ -235,7 +264,7 @@ def _constant(gains: np.ndarray) -> np.ndarray:
 
 
 def _from_recording(path: Path, csv: CsvCfg, sha256: str) -> MotionLog:
-    """The longest part of a recording with constant gains, a reading in each tick, and no gap."""
+    """Read the longest part of a recording that has constant gains, all readings and no gap."""
     if csv.kp or csv.kd:
         raise RenetError("it is a recording, which holds Kp and Kd: leave --kp and --kd out")
     ticks = read_recording(path).ticks
@@ -243,7 +272,7 @@ def _from_recording(path: Path, csv: CsvCfg, sha256: str) -> MotionLog:
     readings = [ticks[name] for name in ("joint_position", "joint_velocity", "position")]
     usable = (ticks["state"] == GOOD) & (ticks["stiffness"] > 0.0).all(axis=1)
     usable &= np.isfinite(np.concatenate([gains, *readings], axis=1)).all(axis=1)
-    # A tick that goes on from the one before, so that the two belong together.
+    # True where a tick goes on from the one before, so that the two belong together.
     even = np.abs(np.diff(ticks["now"]) - CONTROL_DT) <= UNEVEN * CONTROL_DT
     follows = usable[1:] & usable[:-1] & even & (gains[1:] == gains[:-1]).all(axis=1)
     breaks = np.flatnonzero(~np.concatenate([[False], follows, [False]]))

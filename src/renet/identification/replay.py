@@ -44,7 +44,7 @@ class SuspendedRobot:
         self._dof = np.array([joint.dofadr[0] for joint in joints])
         self._servo = np.array([self._model.actuator(name).id for name in JOINTS])
         self.lower, self.upper = np.array([joint.range for joint in joints]).T
-        """Upper limits of the joints, [12] rad."""
+        """Lower and upper limits of the joints, [12] rad each."""
         # Integrals of the targets over time. Shifted in time, they give delayed targets.
         sums = np.cumsum(log.target, axis=0) * log.period
         before = -LARGEST.delay * log.target[:1]
