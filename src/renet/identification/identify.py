@@ -167,8 +167,8 @@ def _evidence(
         described_errors, measured_errors = errors
         rmse[title] = {
             "seconds": [round(rows.start * log.period, 3), round(rows.stop * log.period, 3)],
-            "described": _rmse(described_errors, weight, log.period),
-            "measured": _rmse(measured_errors, weight, log.period),
+            "described": root_mean_squares(described_errors, weight, log.period),
+            "measured": root_mean_squares(measured_errors, weight, log.period),
         }
     standard_errors = {}
     for name, values in zip(names, fit.standard_error, strict=True):
@@ -197,7 +197,7 @@ def _evidence(
     }
 
 
-def _rmse(errors: np.ndarray, weight: np.ndarray, period: float) -> dict[str, float]:
+def root_mean_squares(errors: np.ndarray, weight: np.ndarray, period: float) -> dict[str, float]:
     """Compute root mean square errors in rad: of all joints, by kind, and within joint limits.
 
     Args:
