@@ -13,7 +13,7 @@ from renet.identification.motion_log import MotionLog
 from renet.interface import JOINTS, TRUNK
 from renet.motors import LARGEST, PARAMETERS
 from renet.robots import Robot
-from renet.robots.model import simulation_model
+from renet.robots.model import joint_addresses, servo_ids, simulation_model
 
 ARMATURE, DAMPING, FRICTION, DELAY = range(len(PARAMETERS))
 """Columns of a table of motors [12, 4]: `motors.PARAMETERS` of each of `interface.JOINTS`."""
@@ -39,11 +39,9 @@ class SuspendedRobot:
         self._substeps = max(1, math.ceil(log.period / timestep - 1e-9))
         self._timestep = log.period / self._substeps
         self._model = _compile(description, log, self._timestep)
-        joints = [self._model.joint(name) for name in JOINTS]
-        self._position = np.array([joint.qposadr[0] for joint in joints])
-        self._dof = np.array([joint.dofadr[0] for joint in joints])
-        self._servo = np.array([self._model.actuator(name).id for name in JOINTS])
-        self.lower, self.upper = np.array([joint.range for joint in joints]).T
+        self._position, self._dof = joint_addresses(self._model)
+        self._servo = servo_ids(self._model)
+        self.lower, self.upper = np.array([self._model.joint(name).range for name in JOINTS]).T
         """Lower and upper limits of the joints, [12] rad each."""
         # Integrals of the targets over time. Shifted in time, they give delayed targets.
         sums = np.cumsum(log.target, axis=0) * log.period

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Mapping
 
 import mujoco
+import numpy as np
 
 from renet.errors import RenetError
 from renet.interface import JOINTS, LEGS, PHYSICS_DT, TRUNK
@@ -164,6 +165,27 @@ def demand_joints(spec: mujoco.MjSpec) -> None:
             f"{', '.join(others)}. Policies drive legs alone: remove these (wheels, arms), so that "
             "what they carry is fixed"
         )
+
+
+def joint_addresses(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a state holds the joints of `interface.JOINTS`: indices of qpos and of qvel."""
+    joints = [model.joint(name) for name in JOINTS]
+    qpos = np.array([joint.qposadr[0] for joint in joints])
+    qvel = np.array([joint.dofadr[0] for joint in joints])
+    return qpos, qvel
+
+
+def trunk_addresses(model: mujoco.MjModel) -> tuple[slice, slice]:
+    """Return where a state holds a free trunk: 7 numbers of qpos, and 6 of qvel."""
+    joint = model.body(TRUNK).jntadr[0]
+    qpos = model.jnt_qposadr[joint]
+    qvel = model.jnt_dofadr[joint]
+    return slice(qpos, qpos + 7), slice(qvel, qvel + 6)
+
+
+def servo_ids(model: mujoco.MjModel) -> np.ndarray:
+    """Return the ids of the servos of `interface.JOINTS`, whose names they have, [12]."""
+    return np.array([model.actuator(name).id for name in JOINTS])
 
 
 def rename_parts(

@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 
 from cyclonedds.core import DDSException
+from scipy.spatial.transform import Rotation
 
 from renet.deploy.robots.go2.fake import SPORT, FakeGo2
 from renet.deploy.robots.go2.integrity import MOST_DAMAGED
@@ -51,6 +52,15 @@ def stranger(head=(0xFE, 0xEF), checksum: int | None = None):
 
 def test_motors_are_numbered_as_joints_are():
     assert list(JOINTS) == VENDOR
+
+
+def test_the_fake_robots_angles_are_those_of_its_quaternion():
+    robot = FakeGo2(free_domain())
+    turn = Rotation.from_euler("ZYX", [0.7, -0.2, 0.4])
+    robot.data.qpos[3:7] = turn.as_quat(scalar_first=True)
+    robot.publish()
+    rpy = robot._out.values["imu_state"]["rpy"]
+    np.testing.assert_allclose(rpy, [0.4, -0.2, 0.7], atol=1e-6)
 
 
 def test_a_battery_that_says_nothing_is_not_empty():

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from cyclonedds.core import DDSException
 
-from renet.deploy.robots.base import projected_gravity
+from renet.deploy.robots.base import heading, projected_gravity
 from renet.deploy.robots.go2.link import (
     COMMAND_TOPIC,
     LEG_MOTORS,
@@ -38,9 +38,11 @@ from renet.deploy.robots.go2.switch import (
     Status,
 )
 from renet.deploy.robots.real.braking import PERIOD
+from renet.deploy.robots.sim.mujoco import place
 from renet.deploy.robots.sim.scene import build_scene
 from renet.interface import JOINTS, TRUNK
 from renet.robots import GO2
+from renet.robots.model import joint_addresses, servo_ids, trunk_addresses
 
 LOOPBACK_CARD = "lo"
 """Network interface of this computer alone."""
@@ -68,19 +70,13 @@ class FakeGo2:
         model, ground = build_scene(terrain, level, robot=GO2)
         model.opt.timestep = PERIOD
         self.model = model
-        self.data = mujoco.MjData(model)
-        joints = [model.joint(name) for name in JOINTS]
-        self._servos = np.array([model.actuator(name).id for name in JOINTS])
-        self._angles = np.array([joint.qposadr[0] for joint in joints])
-        self._speeds = np.array([joint.dofadr[0] for joint in joints])
+        self.data = place(model, ground + _LYING_HEIGHT)
+        self._servos = servo_ids(model)
+        self._angles, self._speeds = joint_addresses(model)
+        self._base, self._motion = trunk_addresses(model)
+        self.data.qpos[self._angles] = _LYING
         # Actuators take torques; `_drive` adds the gains of a command.
         model.actuator_gainprm[self._servos, 0] = 1.0
-        base = model.jnt_qposadr[model.body(TRUNK).jntadr[0]]
-        self.data.qpos[base : base + 7] = (0.0, 0.0, ground + _LYING_HEIGHT, 1.0, 0.0, 0.0, 0.0)
-        self.data.qpos[self._angles] = _LYING
-        self._base = slice(base, base + 7)
-        spin = model.jnt_dofadr[model.body(TRUNK).jntadr[0]]
-        self._motion = slice(spin, spin + 6)
         self.network = Network(LOOPBACK_CARD, domain)
         self._commands = self.network.reader(COMMAND_TOPIC, LowCmd, depth=8)
         self._states = self.network.writer(STATE_TOPIC, LowState)
@@ -178,18 +174,17 @@ class FakeGo2:
         motors["q"] = data.qpos[self._angles[order]]
         motors["dq"] = data.qvel[self._speeds[order]]
         motors["tau_est"] = data.actuator_force[self._servos[order]]
-        w, x, y, z = data.qpos[self._base][3:]
+        quaternion = data.qpos[self._base][3:]
         imu = state["imu_state"]
-        imu["quaternion"] = (w, x, y, z)
+        imu["quaternion"] = quaternion
         imu["gyroscope"] = data.qvel[self._motion][3:]
         # An accelerometer at rest measures gravity upwards.
         acceleration = data.qacc[self._motion][:3] + _GRAVITY
         imu["accelerometer"] = data.body(TRUNK).xmat.reshape(3, 3).T @ acceleration
-        down = projected_gravity(data.qpos[self._base][3:])
-        yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        down = projected_gravity(quaternion)
         roll = np.arctan2(-down[1], -down[2])
         pitch = np.arcsin(np.clip(down[0], -1, 1))
-        imu["rpy"] = (roll, pitch, yaw)
+        imu["rpy"] = (roll, pitch, heading(quaternion))
         state["bms_state"]["soc"] = self.battery
         state["power_v"] = 28.8
         state["wireless_remote"][REMOTE_BUTTONS] = (self.buttons % 256, self.buttons // 256)

@@ -12,6 +12,7 @@ from renet.errors import RenetError
 from renet.interface import JOINTS, TRUNK
 from renet.motor_models import MotorModel
 from renet.robots import find_robot
+from renet.robots.model import joint_addresses, trunk_addresses
 
 SEEN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
 """MuJoCo geom groups of the terrain; robots' collision geoms are in group 3."""
@@ -47,15 +48,9 @@ class MujocoRobot:
         self.model = model
         self.data = place(model, ground + self.description.height)
         self._real_time = real_time
-        joints = [model.joint(name) for name in JOINTS]
         self._servos = make_servos(model, self.data, motors)
-        self._position = np.array([joint.qposadr[0] for joint in joints])
-        self._velocity = np.array([joint.dofadr[0] for joint in joints])
-        free = model.body(TRUNK).jntadr[0]
-        start = model.jnt_qposadr[free]
-        self._base = slice(start, start + 7)
-        spin = model.jnt_dofadr[free] + 3
-        self._spin = slice(spin, spin + 3)
+        self._position, self._velocity = joint_addresses(model)
+        self._base, self._motion = trunk_addresses(model)
         self.data.qpos[self._position] = robot.default_position
         # Joints are limp until the first command.
         limp = np.zeros(len(JOINTS))
@@ -77,7 +72,7 @@ class MujocoRobot:
             joint_velocity=data.qvel[self._velocity],
             joint_torque=data.actuator_force[self._servos.ids],
             quaternion=data.qpos[self._base][3:].copy(),
-            angular_velocity=data.qvel[self._spin].copy(),
+            angular_velocity=data.qvel[self._motion][3:].copy(),
         )
 
     def write(self, command: JointCommand) -> None:
@@ -145,8 +140,8 @@ def place(model: mujoco.MjModel, height: float) -> mujoco.MjData:
     # If MuJoCo started an unstable simulation anew by itself, its clock would jump back.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     data = mujoco.MjData(model)
-    start = model.jnt_qposadr[model.body(TRUNK).jntadr[0]]
-    data.qpos[start : start + 7] = (0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0)
+    base, _ = trunk_addresses(model)
+    data.qpos[base] = (0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0)
     return data
 
 

@@ -11,6 +11,7 @@ from renet.interface import JOINTS, PHYSICS_DT
 from renet.motor_models import MotorModel
 from renet.motor_models.network import SAMPLES, MotorNetwork
 from renet.motors import MotorFit
+from renet.robots.model import joint_addresses, servo_ids
 
 
 class Servos:
@@ -20,7 +21,7 @@ class Servos:
         """Take the servos of a scene, each named as the joint that it drives."""
         self.model = model
         self.data = data
-        self.ids = np.array([model.actuator(name).id for name in JOINTS])
+        self.ids = servo_ids(model)
         """Numbers of the servos in the order of `interface.JOINTS`."""
 
     def write(self, command: JointCommand) -> None:
@@ -42,7 +43,7 @@ class MeasuredServos(Servos):
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, fit: MotorFit) -> None:
         """Change the joints of a scene's model into the measured ones."""
         super().__init__(model, data)
-        dofs = [model.joint(name).dofadr[0] for name in JOINTS]
+        _, dofs = joint_addresses(model)
         model.dof_armature[dofs] = fit.array("armature")
         model.dof_damping[dofs] = fit.array("damping")
         model.dof_frictionloss[dofs] = fit.array("friction")
@@ -93,9 +94,7 @@ class NetworkServos(Servos):
         model.actuator_biasprm[self.ids, 1:3] = 0.0
         self._network = network
         self._command: JointCommand | None = None
-        joints = [model.joint(name) for name in JOINTS]
-        self._position = np.array([joint.qposadr[0] for joint in joints])
-        self._velocity = np.array([joint.dofadr[0] for joint in joints])
+        self._position, self._velocity = joint_addresses(model)
         # Newest first, as the network takes them.
         self._errors = np.zeros((len(JOINTS), SAMPLES))
         self._velocities = np.zeros((len(JOINTS), SAMPLES))
