@@ -14,7 +14,7 @@ import numpy as np
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.cameras.buffer import FrameBuffer
-from renet.deploy.cameras.floor_view import floor_view, view_problem
+from renet.deploy.cameras.floor_view import view_problem
 from renet.deploy.observation import observe
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite, heading
 from renet.deploy.safety.checks import stand_up_problem, teleop_problem
@@ -30,7 +30,6 @@ from renet.pilot import Pilot, Step
 from renet.pilot.inference import InlineInference
 from renet.pilot.policy import BundlePolicy
 from renet.pilot.tick import Sessions
-from renet.robots import robots
 from renet.selector.selector import REMEMBERS, SEES
 
 LATE = "the vision thread is late or dead"
@@ -291,11 +290,9 @@ class Controller:
     def _tell_view(self, now: float) -> None:
         """Tell if a robot that stands has an image that its camera cannot have taken there."""
         image = self._buffer.image
-        # Of a robot without a description nobody knows how high it stands.
-        if image is None or self.robot.name not in robots():
+        if image is None:
             return
-        floor = floor_view(self._camera, robots()[self.robot.name].height)
-        if problem := view_problem(image, floor):
+        if problem := view_problem(image, self._camera, self.robot.name):
             self.tell(now, "camera", problem)
 
     def _limited(self, target: np.ndarray, state: RobotState, rate: float) -> JointCommand:

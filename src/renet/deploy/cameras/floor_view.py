@@ -1,30 +1,31 @@
-"""Comparison of a camera's images with the view of a level floor that its mount leads to expect."""
+"""Comparison of a camera's images with its view of a level floor, as its mount predicts it."""
 
 import math
 
 import numpy as np
 
 from renet.bundle.manifest import CameraSpec
+from renet.robots import robots
 
 _NEAREST = 4
-"""One in so many rows, from the bottom of the image up, shows floor in front of most obstacles."""
+"""The lowest of so many equal parts of an image shows floor in front of most obstacles."""
 _SCALES = (0.55, 1.8)
-"""Range of the depth there over that of the floor: a unit that is wrong by half leaves it."""
+"""Range of the depth in that part over the depth of the floor; a unit wrong by half is outside."""
 _MIN_ERROR = 0.12
-"""Least mean difference from the floor, as a share of the camera's range, of an image that can be
-called upside down."""
+"""Smallest mean difference from the floor, as a share of the camera's range, from which an image
+may be upside down."""
 _TURNED_SHARE = 0.5
-"""Largest share of that difference that may remain once such an image is turned."""
+"""Largest share of that difference that remains once such an image is turned."""
 
 
 def floor_view(camera: CameraSpec, height: float) -> np.ndarray:
-    """Image [48, 64] in [0, 1] of a level floor by the camera of a robot that stands.
+    """Return the image [48, 64], 0 to 1, of a level floor from the camera of a standing robot.
 
     Args:
-        camera: its lens, and its mount on the base.
-        height: of the base over the floor, m.
+        camera: Lens of the camera, and its mount on the base.
+        height: Height of the base above the floor, m.
     """
-    # Of the rays that go one metre ahead of the lens: how far down they get.
+    # Distance down of each row's rays, m, one metre ahead of the lens.
     up = camera.intrinsics.axes()[1]
     down = math.sin(camera.pitch) - up * math.cos(camera.pitch)
     eye = height + camera.position[2]
@@ -33,13 +34,18 @@ def floor_view(camera: CameraSpec, height: float) -> np.ndarray:
     return np.repeat(image[:, None], camera.width, axis=1)
 
 
-def view_problem(image: np.ndarray, floor: np.ndarray) -> str:
-    """Reason why an image [48, 64] cannot be that of a robot on nearly level ground; empty if none.
+def view_problem(image: np.ndarray, camera: CameraSpec, robot: str) -> str:
+    """Return why a robot on nearly level ground cannot have taken an image; empty if it can.
 
     Args:
-        image: depths as shares of the camera's range, 0 to 1; a mean of several will do.
-        floor: the one that `floor_view` expects.
+        image: Depths as shares of the camera's range, [48, 64]; may be the mean of several images.
+        camera: Camera of the robot.
+        robot: Name of the robot. The camera of a robot without a description is at an unknown
+            height: all its images pass.
     """
+    if robot not in robots():
+        return ""
+    floor = floor_view(camera, robots()[robot].height)
     error = float(np.abs(image - floor).mean())
     turned = float(np.abs(image[::-1, ::-1] - floor).mean())
     if error > _MIN_ERROR and turned < _TURNED_SHARE * error:

@@ -9,13 +9,12 @@ import numpy as np
 from renet.bundle import Bundle
 from renet.bundle.models import SURPRISE, recollection_shapes
 from renet.camera import Intrinsics
-from renet.deploy.cameras.floor_view import floor_view, view_problem
+from renet.deploy.cameras.floor_view import view_problem
 from renet.deploy.cameras.preprocess import DepthPreprocessor
 from renet.deploy.recording.calibration_log import MIN_MINUTES
 from renet.errors import RenetError, reason
 from renet.files import MEGABYTE, require_regular
 from renet.interface import DEPTH_SHAPE, TICK_DT
-from renet.robots import robots
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 _IMAGE_MONITORS = [name for name, monitor in MONITORS.items() if monitor.of_image]
@@ -99,20 +98,11 @@ def image_scores(
             f"the images' median depth is {median:g} m: give --scale, the metres of one step of"
             " their values (0.001 for millimetres)"
         )
-    _demand_view(total / len(paths), bundle)
+    robot = bundle.manifest.robot.name
+    if problem := view_problem(total / len(paths), bundle.manifest.camera, robot):
+        raise RenetError(problem)
     columns = np.array(rows[2:]).T
     return {name: [column] for name, column in zip(OF_IMAGES, columns, strict=True)}
-
-
-def _demand_view(mean: np.ndarray, bundle: Bundle) -> None:
-    """Raise RenetError if a mean image [48, 64] is not that of the bundle's camera on a walk."""
-    name = bundle.manifest.robot.name
-    # Of a robot without a description nobody knows how high it stands.
-    if name not in robots():
-        return
-    floor = floor_view(bundle.manifest.camera, robots()[name].height)
-    if problem := view_problem(mean, floor):
-        raise RenetError(problem)
 
 
 def _intrinsics(
