@@ -16,7 +16,7 @@ from renet.deploy.safety import plausibility
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.plausibility import (
     MAX_DRIFT,
-    Readings,
+    Disagreement,
     break_problem,
     comparable,
     rotation_vector,
@@ -30,7 +30,7 @@ from ..fakes import state
 
 def test_a_body_that_turns_and_moves_as_its_sensors_say_is_believed():
     """Fast, about a changing axis, past the ends of angles: far quicker than any walk."""
-    readings, dt, last = Readings(), 0.01, None
+    disagreement, dt, last = Disagreement(), 0.01, None
     attitude = Rotation.identity()
     for step in range(500):
         now = dt * step
@@ -46,7 +46,7 @@ def test_a_body_that_turns_and_moves_as_its_sensors_say_is_believed():
         if last is not None:
             assert comparable(last, told)
             assert break_problem(last, told) == ""
-            assert readings.problem(last, told) == ""
+            assert disagreement.problem(last, told) == ""
         last = told
 
 
@@ -90,7 +90,7 @@ def test_no_reading_of_a_robot_that_walks_is_pushed_or_falls_comes_near_the_limi
     def note(command, state) -> None:
         intake = controller._watch._intake
         odd = intake._broken or intake._drifts or controller._watch._problem
-        most.append((intake._readings._drift, odd))
+        most.append((intake._disagreement._drift, odd))
 
     robot.wait = pushed
     for name in ("MAX_JUMP", "MAX_TWIST", "MAX_DRIFT", "MAX_SKIP", "MAX_SLIP"):

@@ -82,14 +82,14 @@ class SafetyCfg:
 
 
 def rate_after(walked: float, cfg: SafetyCfg) -> float:
-    """Fastest change of a joint target, rad/s, `walked` seconds after a walk began."""
+    """Return the fastest change of a joint target, rad/s, `walked` seconds into a walk."""
     share = min(max(walked / cfg.walk_in_seconds, 0.0), 1.0)
     first = min(cfg.first_rate, cfg.target_rate)
     return first + share * (cfg.target_rate - first)
 
 
 def limited_velocity(teleop: TeleopCommand) -> Velocity:
-    """Velocity that the operator asks for, clipped to the ranges of training."""
+    """Return the velocity that the operator asks for, clipped to the ranges of training."""
     return Velocity(
         min(max(float(teleop.forward), -MAX_REVERSE), MAX_SPEED),
         min(max(float(teleop.left), -MAX_SIDEWAYS), MAX_SIDEWAYS),
@@ -100,20 +100,23 @@ def limited_velocity(teleop: TeleopCommand) -> Velocity:
 def limited_command(
     target: np.ndarray, previous: np.ndarray, state: RobotState, robot: RobotSpec, rate: float
 ) -> JointCommand:
-    """Servo command for a joint target [12] rad within all limits; raises RenetError if not finite.
+    """Return the servo command for a joint target, [12] rad, within all limits.
 
-    From the previous target [12] rad it changes by at most `rate`, rad/s, and it stays within the
+    It changes from the previous target, [12] rad, by at most `rate`, rad/s, and stays within the
     joints' ranges. Where the servo would ask for more torque than the motor gives, its gains are
     scaled down, which at this instant equals the saturation of training. Between two commands only
     the motor's own limit holds.
+
+    Raises:
+        RenetError: The target is not finite.
     """
     if not all_finite(target):
         raise RenetError("the joint target is not finite")
     limit = robot.arrays
     # Rate first, range second: the range holds even where the previous target left it.
     reach = rate * CONTROL_DT
-    target = np.minimum(np.maximum(target, previous - reach), previous + reach)
-    target = np.minimum(np.maximum(target, limit["lower"]), limit["upper"])
+    target = np.clip(target, previous - reach, previous + reach)
+    target = np.clip(target, limit["lower"], limit["upper"])
     # Torque that the servo would ask for, and the gains that keep it within the motor's limit.
     stiffness = limit["stiffness"]
     damping = limit["damping"]

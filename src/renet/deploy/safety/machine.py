@@ -50,16 +50,16 @@ class SafetyMachine:
         """Time at which the mode was entered, s on the robot's clock."""
         self._last: float | None = None
         self._late = 0
-        """Late control ticks in a row."""
+        """Number of late control ticks in a row."""
         self._armed = False
 
     def update(self, problem: str, teleop: TeleopCommand, now: float) -> Mode:
         """Advance by one control tick.
 
         Args:
-            problem: the first one found at this tick; empty if there is none.
-            teleop: the operator's command.
-            now: seconds on the robot's clock.
+            problem: First problem found at this tick; empty if there is none.
+            teleop: The operator's command.
+            now: Time on the robot's clock, s.
 
         Returns:
             The mode in which this tick is commanded.
@@ -83,7 +83,7 @@ class SafetyMachine:
 
     @property
     def rising(self) -> float:
-        """Seconds from arming to the end of standing up."""
+        """Time from arming to the end of standing up, s."""
         return self.cfg.leg_test_seconds + self.cfg.stand_up_seconds
 
     def trip(self, reason: str, now: float) -> None:
@@ -98,7 +98,10 @@ class SafetyMachine:
         self._late = 0
 
     def _clock_problem(self, now: float) -> str:
-        """Reason why the time of a tick forbids motion: a missed deadline, or a wrong clock."""
+        """Return why the time of a tick forbids motion; empty if it does not.
+
+        A deadline was missed, or the clock is wrong.
+        """
         if not math.isfinite(now):
             return "the clock is not finite"
         last = self._last
@@ -115,14 +118,17 @@ class SafetyMachine:
 
 
 def damping_command(robot: RobotSpec, cfg: SafetyCfg) -> JointCommand:
-    """Command that only brakes the joints; it needs no reading."""
+    """Return the command that only brakes the joints; it needs no reading."""
     brake = np.full(ACTION_SIZE, cfg.damping)
     return JointCommand(np.asarray(robot.default_position), np.zeros(ACTION_SIZE), brake)
 
 
 def stand_up_target(start: np.ndarray, robot: RobotSpec, share: float) -> np.ndarray:
-    """Joint positions [12] between the pose at arming and the default pose, smooth at both ends."""
+    """Return joint positions [12], rad, at a share, 0 to 1, of the way to the default pose."""
+    return start + smooth_step(share) * (np.asarray(robot.default_position) - start)
+
+
+def smooth_step(share: float) -> float:
+    """Return the cubic from 0 at 0 to 1 at 1 whose slope is zero at both; constant beyond them."""
     share = min(max(share, 0.0), 1.0)
-    # A cubic whose slope is zero at both ends.
-    smooth = share * share * (3.0 - 2.0 * share)
-    return start + smooth * (np.asarray(robot.default_position) - start)
+    return share * share * (3.0 - 2.0 * share)

@@ -1,20 +1,25 @@
-"""Acceptance of readings: single odd ones are left out, and a third one brakes the robot."""
+"""Acceptance of readings: one or two odd ones are left out, and a third one brakes the robot."""
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.checks import clean_state, state_problem
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.plausibility import MAX_INTERVAL, Readings, break_problem, comparable
+from renet.deploy.safety.plausibility import (
+    MAX_INTERVAL,
+    Disagreement,
+    break_problem,
+    comparable,
+)
 
 _MAX_ODD = 2
-"""Most odd readings that are left out; meanwhile the last good one stays, and grows old."""
+"""Largest number of odd readings that are left out; meanwhile the last good one stays, and ages."""
 RECOVERY = 10
-"""Good readings in a row after which earlier odd ones no longer count."""
+"""Number of good readings in a row after which earlier odd ones no longer count."""
 ACCEPTANCE = 50
-"""Readings, 1 s, after which those that agree with each other, but not with the ones before, are
-accepted. A joint that slipped brakes the robot, but it may be armed again."""
+"""Number of readings, 1 s, that must agree with each other to be accepted although they do not
+continue the earlier ones. A joint that slipped brakes the robot, which may then be armed again."""
 _MAX_GAP = 0.1
-"""Longest time, s, after the last good reading in which others may continue it."""
+"""Longest time after the last good reading, s, within which another can continue it."""
 
 
 class Intake:
@@ -27,20 +32,20 @@ class Intake:
         """The newest good reading; None before the first."""
         self._seen: RobotState | None = None
         """Newest well-formed reading, good or odd."""
-        self._readings = Readings()
+        self._disagreement = Disagreement()
         # Where old readings are allowed, their times are too coarse to add up small differences.
         self._timed = cfg.max_state_age <= MAX_INTERVAL
         self._broken = ""
         """Reason why the newest reading does not continue the good ones; empty if it does."""
         self._since = 0
-        """Readings since the break."""
+        """Number of readings since the break."""
         self._drifts = ""
         """Slow contradiction among the good readings; empty if there is none."""
         self._reason = "no state from the robot"
         self._odd = 0
-        """Readings that were left out."""
+        """Number of readings that were left out."""
         self._good = 0
-        """Good readings since the last one that was left out."""
+        """Number of good readings since the last one that was left out."""
 
     def offer(self, raw: RobotState | None, now: float) -> RobotState | None:
         """Check a reading at `now`, s; returns it as float arrays if it is new and well-formed."""
@@ -65,7 +70,7 @@ class Intake:
         return state
 
     def problem(self, now: float) -> str:
-        """Reason why the readings so far forbid motion at `now`, s; empty if they do not."""
+        """Return why the readings so far forbid motion at `now`, s; empty if they do not."""
         if self.newest is None or self._odd > _MAX_ODD:
             return self._reason
         return state_problem(self.newest, self._robot, self._cfg, now) or self._drifts
@@ -76,7 +81,10 @@ class Intake:
         self._good = 0
 
     def _follow(self, state: RobotState) -> str:
-        """Reason why a reading must be left out: a limit, or a break with the readings before."""
+        """Return why a reading must be left out; empty if it is good.
+
+        It is beyond a limit, or there was a break: it does not continue the good readings.
+        """
         last = self._seen
         before = self._broken
         self._drifts = ""
@@ -85,26 +93,28 @@ class Intake:
         # After a pause there is nothing to compare with.
         if last is None or self.newest is None or not comparable(last, state):
             self._broken = ""
-            self._readings.start_over()
+            self._disagreement.start_over()
             return problem
         broken = break_problem(last, state)
+        # A break ends as soon as a reading continues the last good one again, or once the readings
+        # after the break have agreed with each other for long enough.
+        ends = self._continues(state) if broken else self._since >= ACCEPTANCE
         if not before:
             self._broken = broken
             self._since = 0
-        elif self._continues(state) if broken else self._since >= ACCEPTANCE:
-            # Either it continues the good readings again, or the new ones agreed for long enough.
+        elif ends:
             self._broken = ""
         else:
             self._since += 1
         # Small differences are added up over an unbroken row of good readings only.
         if before or broken or problem or last is not self.newest or not self._timed:
-            self._readings.start_over()
+            self._disagreement.start_over()
         else:
-            self._drifts = self._readings.problem(last, state)
+            self._drifts = self._disagreement.problem(last, state)
         return problem or self._broken
 
     def _continues(self, state: RobotState) -> bool:
-        """True if a reading continues the last good one."""
+        """Return True if a reading continues the last good one."""
         good = self.newest
         if good is None or not comparable(good, state, _MAX_GAP):
             return False

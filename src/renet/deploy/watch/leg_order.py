@@ -10,6 +10,7 @@ import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState, projected_gravity
+from renet.deploy.safety.machine import smooth_step
 from renet.interface import LEGS
 
 _CORNERS = {"FR": (1.0, -1.0), "FL": (1.0, 1.0), "RR": (-1.0, -1.0), "RL": (-1.0, 1.0)}
@@ -17,19 +18,19 @@ _CORNERS = {"FR": (1.0, -1.0), "FL": (1.0, 1.0), "RR": (-1.0, -1.0), "RL": (-1.0
 _STRETCH = 0.45
 """Share of the way to the default pose by which a leg is stretched."""
 _STRETCHED = 0.5
-"""Share of a leg's time at which it is fully stretched."""
+"""Share of a leg's time after which it is fully stretched."""
 _JUDGEMENT = 0.7
-"""Share at which it is judged."""
+"""Share of a leg's time after which it is judged."""
 _RETURN = 0.75
-"""Share at which it begins to go back."""
+"""Share of a leg's time after which it begins to go back."""
 _MIN_TORQUE = 4.0
 """Torque of the calf, N m, from which a leg pushes against something."""
 _MIN_LEAN = 0.012
-"""Sine of the least angle by which the base must lean then."""
+"""Smallest sine of the angle by which the base must lean when a leg pushes."""
 _MIN_COSINE = 0.5
-"""Least cosine of the angle between the direction of the lean and the expected one."""
+"""Smallest cosine of the angle between the direction of the lean and the expected one."""
 _MIN_MOTION = 0.5
-"""Least share of its stretch that a leg in the air must move."""
+"""Smallest share of its stretch by which a leg in the air must move."""
 
 
 class LegTest:
@@ -44,12 +45,12 @@ class LegTest:
         self._leg = -1
         self._judged = False
         self._lean = np.zeros(2)
-        """Gravity [2] in the plane of the base before the leg moved."""
+        """Unit gravity vector in the plane of the base before the leg moved, [2]."""
         self.problem = ""
         """Reason why the robot must not stand up; empty while nothing is found."""
 
     def target(self, elapsed: float, state: RobotState) -> np.ndarray:
-        """Joint targets [12] rad at `elapsed` seconds of the test, at which a leg may be judged."""
+        """Return joint targets, [12] rad, `elapsed` seconds into the test; may judge a leg."""
         leg, passed = divmod(elapsed / self._each, 1.0)
         if int(leg) != self._leg:
             self._leg = int(leg)
@@ -61,11 +62,11 @@ class LegTest:
             self.problem = self.problem or self._judge(state, rows)
         target = self._start.copy()
         stretch = _STRETCH * (self._default[rows] - self._start[rows])
-        target[rows] += _smooth(passed) * stretch
+        target[rows] += _stretched(passed) * stretch
         return target
 
     def _judge(self, state: RobotState, rows: slice) -> str:
-        """Reason why a stretched leg contradicts the wiring; empty if it does not."""
+        """Return why a stretched leg contradicts the wiring; empty if it does not."""
         name = LEGS[self._leg]
         lean = _leaning(state) - self._lean
         # The leg hangs in the air, or is limp: it must at least follow its command.
@@ -85,12 +86,11 @@ class LegTest:
 
 
 def _leaning(state: RobotState) -> np.ndarray:
-    """Components [2] of the unit gravity vector in the plane of the base."""
+    """Return the x and y components of the unit gravity vector in the base frame, [2]."""
     return np.array(projected_gravity(state.quaternion)[:2])
 
 
-def _smooth(passed: float) -> float:
-    """Stretch, 0 to 1, at a share of a leg's time, 0 to 1; smooth at both ends."""
+def _stretched(passed: float) -> float:
+    """Return how far a leg is stretched, 0 to 1, at a share of its time, 0 to 1."""
     share = passed / _STRETCHED if passed < _RETURN else (1.0 - passed) / (1.0 - _RETURN)
-    share = min(max(share, 0.0), 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return smooth_step(share)

@@ -6,13 +6,14 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.interface import JOINTS
 
 SHORT_WINDOW = 15
-"""Readings, 0.3 s, over which motors that give next to nothing, or too much, are found."""
+"""Number of readings, 0.3 s, over which motors that give next to nothing, or too much, are found.
+"""
 LONG_WINDOW = 50
-"""Readings, 1 s, over which motors that give too little are found."""
+"""Number of readings, 1 s, over which motors that give too little are found."""
 _WEAK_RATIO = 3.0
 """Multiple of the least share of the torque asked for, below which a motor is weak over the long
-window: there a network of a real Go1's motors gave at least 0.53 of it in 300 s of walks with
-pushes on all terrains, ideal motors all of it."""
+window. There a network of a real Go1's motors gave a share of at least 0.53 in 300 s of walks with
+pushes on all terrains, and ideal motors gave all of it."""
 _MIN_ASKED = 3.0
 """Root mean square of the torque asked for, N m, from which a motor can be judged."""
 _MAX_ERROR = 18.0
@@ -20,26 +21,27 @@ _MAX_ERROR = 18.0
 11 in 160 s of walks with pushes on a network of a real Go1's motors, which answer late; none on
 ideal ones."""
 _MAX_COUNTED = 30.0
-"""Most torque, N m, that one reading counts for: a single odd one must not be enough."""
+"""Largest torque, N m, with which one reading counts: a single odd one must not be enough."""
 _ABSURD_RATIO = 3.0
-"""Multiple of a motor's limit that it cannot give."""
+"""Multiple of a motor's limit that no motor can give."""
 ABSURD_READINGS = 3
-"""Readings in a row with such a torque that are no transmission error."""
+"""Number of readings in a row with more than that, which are no transmission error."""
 
 
 class MotorWatch:
     """Compares commands with the torques in the readings that follow them.
 
-    Robots that measure no torque always report zero for all joints: nothing is compared then.
+    Nothing is compared before the first torque that is not zero: a robot that measures no torque
+    always reports zero.
     """
 
     def __init__(self, torque: np.ndarray, speed: np.ndarray, least: float) -> None:
         """Watch the motors of one robot.
 
         Args:
-            torque: [12] N m, limits of the motors.
-            speed: [12] rad/s, beyond which a driver only brakes a joint.
-            least: share of the torque asked for that each motor must give.
+            torque: Limits of the motors, [12] N m.
+            speed: Speeds beyond which a driver only brakes a joint, [12] rad/s.
+            least: Least share of the torque asked for that each motor must give, 0 to 1.
         """
         self._least = least
         self._torque = torque
@@ -48,19 +50,17 @@ class MotorWatch:
 
     def start_over(self) -> None:
         """Forget the past, in which the robot did something else."""
-        self._asked = np.zeros((LONG_WINDOW, len(JOINTS)))
-        self._given = np.zeros((LONG_WINDOW, len(JOINTS)))
-        self._obeyed = np.zeros((LONG_WINDOW, len(JOINTS)))
-        """Products of both: a torque against the one asked for counts less than none."""
-        self._apart = np.zeros((LONG_WINDOW, len(JOINTS)))
-        """Squares of differences, N² m². The newest row of all four is `_next - 1`."""
+        self._window = np.zeros((LONG_WINDOW, 4, len(JOINTS)))
+        """Torques of each of the last readings, N² m²: square of the torque asked for, square of
+        the torque given, product of both (negative if the motor works against its command), and
+        square of their difference. The newest row is `_next - 1`."""
         self._next = 0
         self._absurd = 0
-        """Readings in a row with a torque that no motor gives."""
+        """Number of readings in a row with a torque that no motor gives."""
         self._command: JointCommand | None = None
         self._measured = False
         self._fast = np.zeros(len(JOINTS), bool)
-        """Joints [12] that were beyond their speed limit at the last reading."""
+        """True for joints that were beyond their speed limit at the last reading, [12]."""
 
     def told(self, command: JointCommand) -> None:
         """Keep a command, whose effect the next reading shows."""
@@ -83,45 +83,40 @@ class MotorWatch:
         return self._compare()
 
     def _remember(self, command: JointCommand, state: RobotState) -> None:
-        """Add the torques of a reading, asked for and given, to the window."""
+        """Add the torques of a reading to the window; zeros for joints beyond their speed limit."""
         given = state.joint_torque
         asked = command.stiffness * (command.position - state.joint_position)
         asked = asked - command.damping * state.joint_velocity
-        asked = np.minimum(np.maximum(asked, -self._torque), self._torque)
+        asked = np.clip(asked, -self._torque, self._torque)
         # Beyond its speed limit a joint is braked, whatever was asked for then or since.
         now = np.abs(state.joint_velocity) > 0.9 * self._speed
         fast = now | self._fast
         self._fast = now
-        counted = np.minimum(np.maximum(given, -_MAX_COUNTED), _MAX_COUNTED)
-        place = self._next % LONG_WINDOW
-        self._asked[place] = np.where(fast, 0.0, asked**2)
-        self._given[place] = np.where(fast, 0.0, counted**2)
-        self._obeyed[place] = np.where(fast, 0.0, counted * asked)
         apart = np.minimum(np.abs(given - asked), _MAX_COUNTED)
-        self._apart[place] = np.where(fast, 0.0, apart**2)
+        given = np.clip(given, -_MAX_COUNTED, _MAX_COUNTED)
+        row = np.stack((asked**2, given**2, given * asked, apart**2))
+        self._window[self._next % LONG_WINDOW] = np.where(fast, 0.0, row)
         self._next += 1
 
     def _compare(self) -> str:
-        """Name a motor whose torques in the windows are not those asked for; empty if none."""
+        """Name a motor that did not give the torques asked for in a window; empty if none."""
         if self._next < SHORT_WINDOW:
             return ""
         # The short window: a motor that gives no torque, or another one.
         soon = np.arange(self._next - SHORT_WINDOW, self._next) % LONG_WINDOW
-        asked = self._asked[soon].mean(axis=0)
-        given = self._given[soon].mean(axis=0)
+        asked, given, _, apart = self._window[soon].mean(axis=0)
         dead = (asked > _MIN_ASKED**2) & (given < self._least**2 * asked)
         if dead.any():
             return f"{JOINTS[int(dead.argmax())]} does not obey: its motor gives no torque"
-        apart = np.sqrt(self._apart[soon].mean(axis=0))
-        if (apart > _MAX_ERROR).any():
+        if (apart > _MAX_ERROR**2).any():
             joint = int(apart.argmax())
             return f"{JOINTS[joint]} does not obey: it gives another torque than asked for"
         if self._next < LONG_WINDOW:
             return ""
-        # The long window: a motor that gives a part of it.
-        asked = self._asked.mean(axis=0)
+        # The long window: a motor that gives a part of the torque.
+        asked, _, obeyed, _ = self._window.mean(axis=0)
         share = _WEAK_RATIO * self._least
-        weak = (asked > _MIN_ASKED**2) & (self._obeyed.mean(axis=0) < share * asked)
+        weak = (asked > _MIN_ASKED**2) & (obeyed < share * asked)
         if weak.any():
             return f"{JOINTS[int(weak.argmax())]} is too weak: its motor gives little torque"
         return ""
