@@ -105,7 +105,7 @@ class Gamepad:
         raise RenetError(problem)
 
     def missing(self, names: Collection[str]) -> list[str]:
-        """List those of the names that no stick or button of this gamepad has."""
+        """List the names that no stick or button of this gamepad has."""
         return [name for name in names if name not in self._axes + self._buttons]
 
     def events(self) -> Iterator[PadEvent]:

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 _LOCK_ALL = 3
 """Linux' MCL_CURRENT | MCL_FUTURE."""
 _BELOW = 10
-"""Priority of the control loop above that of the other threads."""
+"""Difference between the priorities of the control loop and of the other threads."""
 _SWITCH_INTERVAL = 0.0005
 """Time after which a thread that computes in Python hands the interpreter over, s. Python's own
 value, 5 ms, is a quarter of a control step."""

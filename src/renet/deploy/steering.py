@@ -98,6 +98,6 @@ STEERINGS: dict[Told, type[HeadingSteering] | type[TwistSteering]] = {
 
 
 def _lead(wished: float, heading: float) -> float:
-    """Angle from a heading to the wished one, rad, at most `MAX_LEAD` either way."""
+    """Return the angle from a heading to the wished one, rad, at most `MAX_LEAD` either way."""
     lead = math.remainder(wished - heading, math.tau)
     return min(max(lead, -MAX_LEAD), MAX_LEAD)

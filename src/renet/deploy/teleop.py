@@ -303,6 +303,6 @@ class GamepadTeleop:
         return moved
 
     def _stick(self, name: str) -> float:
-        """Position of a stick, -1 to 1, with a dead zone."""
+        """Return the position of a stick, -1 to 1, with a dead zone."""
         value = self._sticks[name]
         return value if abs(value) > DEAD_ZONE else 0.0

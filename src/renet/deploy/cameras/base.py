@@ -33,31 +33,31 @@ class Camera(Protocol):
         """Begin to stream; raises RenetError with what to do when that fails."""
 
     def latest(self) -> DepthFrame | None:
-        """Newest frame, the same one until the next arrives; None before the first."""
+        """Return the newest frame, the same one until the next arrives; None before the first."""
 
     def close(self) -> None:
-        """Stop streaming; safe to call twice."""
+        """Stop streaming; a second call does nothing."""
 
 
 @dataclass(frozen=True)
 class CameraCfg:
-    """Options of a camera of `renet deploy --camera NAME`, one a field."""
+    """Camera of `renet deploy --camera NAME`; its fields are options of the command."""
 
     simulated: ClassVar[bool] = False
     """True for a camera in a simulation, which a real robot cannot use."""
 
     def check(self) -> None:
-        """Check the options; raises RenetError for those that cannot work."""
+        """Raise RenetError for options that cannot work."""
 
     def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera | None:
-        """Create the camera without starting it; None stands for a run without a camera.
+        """Make the camera without starting it; None stands for a run without a camera.
 
         Args:
-            camera: format of the images that the bundle's policy needs.
-            robot: whose clock times the frames.
-            seed: of a simulated camera's noise.
+            camera: Format of the images that the bundle's policy needs.
+            robot: Robot on whose clock frames are timed.
+            seed: Seed of a simulated camera's noise.
 
         Raises:
-            RenetError: a package or file is missing, or the camera cannot give such images.
+            RenetError: A package or file is missing, or the camera has no images of this format.
         """
         return None

@@ -16,9 +16,9 @@ from renet.interface import DEPTH_SHAPE
 from renet.pilot.images import OLDEST, Images
 
 _HISTORY = 32
-"""Earlier images that must not come again: one second of a camera at 30 Hz."""
+"""Number of earlier images that must not come again: one second of a camera at 30 Hz."""
 _MAX_AHEAD = 0.05
-"""Time, s, by which a frame's time may lie ahead of the robot's clock."""
+"""Largest time, s, by which a frame's time may lie ahead of the robot's clock."""
 
 
 class FrameBuffer:
@@ -68,11 +68,11 @@ class FrameBuffer:
         self.invalid = float(frame.invalid)
 
     def age(self, now: float) -> float:
-        """Age of the image at `now`, s, at most `OLDEST`; positive even after a jump back."""
+        """Return the image's age at `now`, s, at most `OLDEST`; positive even after a jump back."""
         return min(abs(now - self._time), OLDEST)
 
     def take(self, now: float) -> Images:
-        """Newest image for a pilot of one robot, marked as fresh the first time only."""
+        """Return the newest image for a pilot of one robot, marked as fresh the first time only."""
         fresh = self._fresh
         self._fresh = False
         return Images(
@@ -85,9 +85,12 @@ class FrameBuffer:
 
 
 def clean_frame(frame: DepthFrame, now: float) -> tuple[np.ndarray, float]:
-    """Image [48, 64] float32 and time, s, of a frame; raises RenetError naming what is wrong.
+    """Return the image, [48, 64] float32, and the time, s, of a frame.
 
     Images are rounded to half precision, as in training.
+
+    Raises:
+        RenetError: The frame is malformed; the message names what is wrong.
     """
     try:
         with np.errstate(over="ignore"):

@@ -22,13 +22,13 @@ class FaultyCamera(Camera):
         """Wrap a camera.
 
         Args:
-            camera: whose frames are spoilt.
-            faults: act on the same frames, one after the other.
-            now: returns the time on the robot's clock, s.
-            seed: of the faults' randomness.
+            camera: Camera with frames to spoil.
+            faults: Faults, which act on the same frames one after the other.
+            now: Function that returns the time on the robot's clock, s.
+            seed: Seed of the faults' randomness.
 
         Raises:
-            RenetError: a fault that this camera or its scene cannot have.
+            RenetError: This camera or its scene cannot have one of the faults.
         """
         self._camera = camera
         self._now = now
@@ -50,14 +50,14 @@ class FaultyCamera(Camera):
         self._camera.start()
 
     def latest(self) -> DepthFrame | None:
-        """Newest frame; None before the first."""
+        """Return the newest frame; None before the first."""
         now = self._now()
         self._begun = now if self._begun is None else self._begun
         if self._perturb is not None:
             self._perturb(self._injector.perturbation(self._step(now)))
         self._camera.busy = self.busy
         frame = self._camera.latest()
-        # Fault models are made for frames at 10 Hz: those of a faster camera are thinned out.
+        # Fault models are made for 10 Hz: frames of a faster camera are thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:
             return self._shown
         self._due = max(self._due + TICK_DT, frame.time)
@@ -79,9 +79,9 @@ class FaultyCamera(Camera):
         return getattr(self._camera, "problem", "")
 
     def close(self) -> None:
-        """Stop streaming; safe to call twice."""
+        """Stop streaming; a second call does nothing."""
         self._camera.close()
 
     def _step(self, time: float) -> int:
-        """Control steps from the first call of `latest` to a time, s."""
+        """Return the number of control steps from the first call of `latest` to a time, s."""
         return max(round((time - (self._begun or 0.0)) / CONTROL_DT), 0)

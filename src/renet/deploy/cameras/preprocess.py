@@ -18,12 +18,12 @@ class DepthPreprocessor:
         """Find the pixels to sample.
 
         Args:
-            lens: of the camera, without distortion. Both focal lengths are negative for a camera
-                that is mounted upside down.
-            spec: format of the policy's images.
+            lens: Lens of the camera, without distortion. Both focal lengths are negative for a
+                camera that is mounted upside down.
+            spec: Format of the policy's images.
 
         Raises:
-            RenetError: the camera's view is too narrow for the policy.
+            RenetError: The camera's view is too narrow for the policy.
         """
         # Directions of the policy's rays, then the pixels in which they meet the camera's image.
         left, up = spec.intrinsics.axes()
@@ -43,9 +43,12 @@ class DepthPreprocessor:
         self._range = spec.range
 
     def invalid(self, image: np.ndarray) -> float:
-        """Share of pixels without a measurement in the policy's view, at the camera's resolution.
+        """Return the share of pixels in the policy's view that have no measurement, 0 to 1.
 
-        They have the value 0. Raises RenetError for an image of another size.
+        Pixels are counted at the camera's resolution; 0 stands for no measurement.
+
+        Raises:
+            RenetError: The image is of another size than the lens's.
         """
         self._check(image)
         rows = slice(self._rows.min(), self._rows.max() + 1)
@@ -53,11 +56,13 @@ class DepthPreprocessor:
         return float((image[rows, columns] == 0).mean())
 
     def image(self, depth: np.ndarray) -> np.ndarray:
-        """Policy's image [48, 64] in [0, 1] of a depth image [rows, columns] in metres.
+        """Return the policy's image, [48, 64] of 0 to 1, of a depth image [rows, columns], m.
 
-        Pixels of 0 are holes, and are filled. An image of holes alone becomes 1 everywhere, as it
-        does in training where no ray hits anything, before noise. Raises RenetError for an image of
-        another size.
+        Pixels of 0 are holes, and are filled. An image of holes alone becomes 1 everywhere, like an
+        image of training in which no ray hits anything, before noise.
+
+        Raises:
+            RenetError: The image is of another size than the lens's.
         """
         self._check(depth)
         picked = fill_holes(depth[np.ix_(self._rows, self._columns)])
@@ -72,9 +77,9 @@ class DepthPreprocessor:
 
 
 def fill_holes(depth: np.ndarray) -> np.ndarray:
-    """Copy of a depth image [rows, columns] in which holes, pixels of 0, are filled.
+    """Return a copy of a depth image [rows, columns] with its holes, pixels of 0, filled.
 
-    They are filled from their rims inwards with the smallest depth of the eight pixels around, so
+    Holes are filled from their rims inwards with the smallest depth of the eight pixels around, so
     that an obstacle too close to be measured stays close (mode 2 of librealsense, which published
     Go1 parkour policies use). An image without any measurement stays as it is.
     """

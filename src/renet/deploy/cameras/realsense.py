@@ -25,13 +25,14 @@ FRAME_TIMEOUT = 1.0
 RETRY_INTERVAL = 0.5
 """Time between two attempts to open the camera, s."""
 _MAX_DRIFT = 1e-3
-"""Drift between the clocks of camera and robot that is followed, s/s; quartz has up to 1e-4."""
+"""Largest drift between the clocks of camera and robot that is followed, s/s; quartz drifts by up
+to 1e-4."""
 _CLOCK_RESET = 1.0
-"""Jump back of the camera's clock, s, that tells that the camera started anew."""
+"""Jump back of the camera's clock, s, from which the camera has started anew."""
 
 
 def realsense() -> Any:
-    """Module of librealsense; raises RenetError that says what to install."""
+    """Import the module of librealsense; raises RenetError that says what to install."""
     try:
         import pyrealsense2
     except ImportError as error:
@@ -74,11 +75,11 @@ class ClockOffset:
         """Time at which the last frame arrived, s on the robot's clock."""
 
     def time(self, stamp: float, arrival: float) -> float:
-        """Time of a frame on the robot's clock, s.
+        """Return the time of a frame on the robot's clock, s.
 
         Args:
-            stamp: the camera's timestamp, s.
-            arrival: time at which the frame arrived, s on the robot's clock.
+            stamp: Timestamp of the frame on the camera's clock, s.
+            arrival: Time at which the frame arrived, s on the robot's clock.
         """
         passed = max(arrival - self._arrival, 0.0) if np.isfinite(self._arrival) else 0.0
         self._offset = min(self._offset + _MAX_DRIFT * passed, arrival - stamp)
@@ -104,11 +105,11 @@ class RealSenseCamera(Camera):
         """Set up without opening the camera.
 
         Args:
-            spec: format of the policy's images.
-            clock: returns the time on the robot's clock, s.
-            device: an open librealsense device, such as a software device; by default a camera
-                that is connected.
-            serial: number of the camera to open; empty for the only one.
+            spec: Format of the policy's images.
+            clock: Function that returns the time on the robot's clock, s.
+            device: Open librealsense device, such as a software device; by default a camera that
+                is connected.
+            serial: Serial number of the camera to open; empty for the only one.
             upside_down: True if the camera is turned by 180 degrees in its mount.
         """
         self._spec = spec
@@ -133,11 +134,11 @@ class RealSenseCamera(Camera):
         atexit.register(self.close)
 
     def latest(self) -> DepthFrame | None:
-        """Newest frame; None before the first."""
+        """Return the newest frame; None before the first."""
         return self._latest
 
     def close(self) -> None:
-        """Stop streaming; safe to call twice."""
+        """Stop streaming; a second call does nothing."""
         atexit.unregister(self.close)
         self._stop.set()
         if self._thread is not None:
@@ -164,7 +165,7 @@ class RealSenseCamera(Camera):
         return sensor, queue
 
     def _find(self) -> Any:
-        """The device of the chosen serial number; raises RenetError unless there is exactly one."""
+        """Find the camera of the chosen serial number; raises RenetError unless one is."""
         devices = list(self._rs.context().query_devices())
         serials = [device.get_info(self._rs.camera_info.serial_number) for device in devices]
         matches = []
@@ -180,7 +181,7 @@ class RealSenseCamera(Camera):
         raise RenetError(f"no {camera}: {seen}; check its USB 3 cable")
 
     def _profile(self, sensor: Any) -> Any:
-        """Profile of the stream to open; raises RenetError if the sensor does not offer it."""
+        """Find the profile of the stream to open; raises RenetError if the sensor has none."""
         profiles = []
         for stream in sensor.get_stream_profiles():
             profile = stream.as_video_stream_profile()
@@ -242,7 +243,7 @@ class RealSenseCamera(Camera):
             self.problem = ""
 
     def _preprocessor(self, profile: Any) -> DepthPreprocessor:
-        """Preprocessor of the images of a stream."""
+        """Make the preprocessor of a stream's images."""
         lens = profile.as_video_stream_profile().get_intrinsics()
         # librealsense puts the origin at the centre of the first pixel, renet at its corner.
         middle = (lens.ppx + 0.5, lens.ppy + 0.5)

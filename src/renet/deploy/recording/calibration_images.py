@@ -35,19 +35,19 @@ def image_scores(
     bundle: Bundle,
     upside_down: bool = False,
 ) -> dict[str, list[np.ndarray]]:
-    """Scores of each image but the first two, [T] by the monitor's name, as of one walk.
+    """Score each image but the first two, as one walk: [T] by the monitor's name.
 
     Args:
-        folder: of PNG files of one channel, taken every 0.1 s, in the order of their names.
-        scale: metres of one step of their values; 0 stands for no measurement.
-        lens: focal lengths and principal point fx, fy, cx, cy, pixels; by default those of a
-            camera that sees 87 degrees horizontally, without distortion.
-        bundle: whose vision model and camera are used.
+        folder: Folder of PNG files of one channel, taken every 0.1 s, in the order of their names.
+        scale: Metres of one step of their values; 0 stands for no measurement.
+        lens: Focal lengths and principal point fx, fy, cx, cy, pixels; by default of a camera that
+            sees 87 degrees horizontally, without distortion.
+        bundle: Bundle with the vision model and the camera.
         upside_down: True if the camera is turned by 180 degrees in its mount.
 
     Raises:
-        RenetError: too few images, one that is none, sizes that differ, a lens that sees too
-            little, or depths that no walking robot sees.
+        RenetError: There are too few images, one cannot be read, sizes differ, the lens sees too
+            little, or no walking robot sees such depths.
     """
     paths = sorted(folder.glob("*.png"))
     least = round(60.0 * MIN_MINUTES / TICK_DT)
@@ -61,7 +61,7 @@ def image_scores(
     # Policies without a variance have the other score alone.
     outputs = {output.name for output in vision.get_outputs()}
     names = [name for name in ("anomaly_score", "variance_score") if name in outputs]
-    # Of these the scores of images alone do not depend.
+    # Inputs that the scores of images alone do not depend on.
     unknown: dict[str, np.ndarray] = {}
     if SURPRISE in outputs:
         for name, shape in recollection_shapes(bundle.manifest.history).items():
@@ -108,7 +108,7 @@ def image_scores(
 def _intrinsics(
     shape: tuple[int, ...], lens: tuple[float, float, float, float] | None, upside_down: bool
 ) -> Intrinsics:
-    """Camera of images of a shape (rows, columns) with a lens fx, fy, cx, cy, or the default."""
+    """Make the intrinsics of images of a shape (rows, columns) and a lens, or the default one."""
     height, width = shape
     if lens is None:
         focal = width / 2 / math.tan(_VIEW_ANGLE / 2)
@@ -119,7 +119,7 @@ def _intrinsics(
 
 
 def read_image(path: Path) -> np.ndarray:
-    """Values [rows, columns] of a PNG file of one channel; raises RenetError for any other."""
+    """Read a PNG file of one channel, [rows, columns]; raises RenetError for any other file."""
     from PIL import Image
 
     require_regular(path, _MAX_BYTES, "image")

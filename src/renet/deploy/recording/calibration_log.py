@@ -27,13 +27,13 @@ SETTLING_STEPS = 2 * STEPS_PER_TICK
 
 
 def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np.ndarray]]:
-    """Highest score of every monitor in each 0.1 s, [T] for each walk, by the monitor's name.
+    """Return every monitor's highest scores in each 0.1 s, [T] for each walk, by its name.
 
     Walks that a problem ended are left out, as failed episodes are in simulation.
 
     Raises:
-        RenetError: a recording that cannot be read, of another policy, or with injected faults;
-            the same walks twice; or too little healthy walking in all of them.
+        RenetError: A recording cannot be read, is of another policy, has injected faults or is
+            given twice, or all together hold too little healthy walking.
     """
     first: dict[bytes, Path] = {}
     series: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
@@ -61,7 +61,7 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
 
 
 def healthy_walks(run: Recording) -> Iterator[range]:
-    """Rows of each walk with vision that an operator ended, without its start.
+    """Yield the rows of each walk with vision that an operator ended, without its start.
 
     Walks in which the robot leaned far, or whose end is not in the log, are left out.
     """
@@ -85,7 +85,7 @@ def healthy_walks(run: Recording) -> Iterator[range]:
 
 
 def _ended_well(run: Recording, end: int) -> bool:
-    """True if a walk whose last row is before `end` ended for a healthy reason."""
+    """Return True if a walk whose last row is before `end` ended for a healthy reason."""
     last = run.ticks["now"][end - 1]
     for event in run.events:
         if event.time > last and event.what in MODES:
@@ -94,7 +94,7 @@ def _ended_well(run: Recording, end: int) -> bool:
 
 
 def score_walk(run: Recording, walk: range) -> np.ndarray:
-    """Highest scores [T, monitors] in each 0.1 s of a walk, the rows of whole vision ticks."""
+    """Return the highest scores in each 0.1 s of a walk of whole vision ticks, [T, monitors]."""
     scorer = Scorer(1)
     newest = run.images[max(row for row in run.images if row <= walk.start)]
     given: np.ndarray | None = None

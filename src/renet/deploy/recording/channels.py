@@ -109,14 +109,14 @@ class DepthImage:
 
 
 def nanoseconds(seconds: float) -> int:
-    """Time in whole nanoseconds, clipped to the range that ROS 2 can express; 0 for NaN."""
+    """Convert a time, s, to whole nanoseconds within the range of ROS 2; 0 for NaN."""
     if math.isnan(seconds):
         return 0
     return round(1e9 * min(max(seconds, 0.0), LAST_SECOND))
 
 
 def encode(value: Any) -> bytes:
-    """Message of a header (a dict), a record of `tick`, a `DepthImage` or an `Event`."""
+    """Encode a header (a dict), a record of `tick`, a `DepthImage` or an `Event`."""
     if isinstance(value, dict):
         return json.dumps(value).encode()
     if isinstance(value, DepthImage):
@@ -127,7 +127,7 @@ def encode(value: Any) -> bytes:
 
 
 def _encode_image(depth: DepthImage) -> bytes:
-    """Message `sensor_msgs/msg/Image` of a depth image."""
+    """Encode a depth image as `sensor_msgs/msg/Image`."""
     height, width = DEPTH_SHAPE
     message = CdrWriter()
     _put_time(message, depth.time)
@@ -143,7 +143,7 @@ def _encode_image(depth: DepthImage) -> bytes:
 
 
 def decode_image(message: bytes) -> np.ndarray:
-    """Image [48, 64] float16 of a message; raises ValueError for another kind or size."""
+    """Decode a depth image, [48, 64] float16; raises ValueError for another kind or size."""
     fields = CdrReader(message)
     _take_time(fields)
     fields.text()
@@ -163,7 +163,7 @@ def decode_image(message: bytes) -> np.ndarray:
 
 
 def _encode_event(event: Event) -> bytes:
-    """Message `rcl_interfaces/msg/Log` of an event."""
+    """Encode an event as `rcl_interfaces/msg/Log`."""
     message = CdrWriter()
     _put_time(message, event.time)
     message.number("B", _INFO if event.what in _NORMAL_EVENTS else _WARN)
@@ -177,7 +177,7 @@ def _encode_event(event: Event) -> bytes:
 
 
 def decode_event(message: bytes) -> tuple[int, str, str]:
-    """Time in ns, name and reason of an event; raises ValueError for another message."""
+    """Decode an event into time, ns, name and reason; raises ValueError for another message."""
     fields = CdrReader(message)
     time = _take_time(fields)
     fields.number("B")
@@ -224,13 +224,13 @@ class ChannelWriter:
         """Add a message, which reaches the stream with its chunk, at the latest at `flush`.
 
         Args:
-            topic: name of its topic.
-            time: seconds on the robot's clock.
-            message: bytes as returned by `encode`.
+            topic: Name of the message's topic.
+            time: Time on the robot's clock, s.
+            message: Bytes as returned by `encode`.
 
         Raises:
-            ValueError: the message is larger than the reader accepts.
-            OSError: the stream cannot be written.
+            ValueError: The message is larger than the reader accepts.
+            OSError: The stream cannot be written.
         """
         if len(message) > _MAX_MESSAGE:
             raise ValueError(f"a message of {topic} has more than {_MAX_MESSAGE / MEGABYTE:g} MB")

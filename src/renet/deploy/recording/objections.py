@@ -10,14 +10,14 @@ from renet.deploy.safety.machine import Mode
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 _MAX_MONITORS = 4
-"""Most monitors in a timeline."""
+"""Largest number of monitors in a timeline."""
 
 
 def ratios(run: Recording) -> dict[str, np.ndarray]:
-    """Scores over thresholds, [T] by the monitor's name; a monitor objects from 1 on.
+    """Return scores over thresholds, [T] by the monitor's name; a monitor objects from 1 on.
 
-    Thresholds are those of the recording's header; that of an older recording holds only the one of
-    the reconstruction.
+    Thresholds come from the recording's header. In an older recording, only the reconstruction has
+    one.
     """
     ticks = run.ticks
     header = run.header
@@ -46,9 +46,10 @@ def ratios(run: Recording) -> dict[str, np.ndarray]:
 
 
 def objectors(run: Recording) -> dict[str, np.ndarray]:
-    """`ratios` of the monitors that objected most while the robot walked, the worst first.
+    """Return `ratios` of the monitors that objected most while the robot walked, the worst first.
 
-    Without any objection, those of the monitor that came nearest to one; empty without thresholds.
+    If none objected, only the monitor that came nearest to an objection is returned; without
+    thresholds, none.
     """
     walking = run.ticks["mode"] == MODES.index(Mode.WALKING)
     found = ratios(run)
@@ -64,15 +65,15 @@ def objectors(run: Recording) -> dict[str, np.ndarray]:
 
 
 def _ratio(score: np.ndarray, threshold: float) -> np.ndarray:
-    """Score over its threshold; the inverse for negative ones, so that 1 stays the objection."""
+    """Divide a score by its threshold, or inversely if it is negative: objections are from 1 on."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return score / threshold if threshold > 0.0 else threshold / score
 
 
 def _of_images(run: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Equal images in a row, contrast of the newest, and covered images in a row, [T] each.
+    """Return equal images in a row, contrast of the newest, and covered images in a row, [T] each.
 
-    Values before the first image are those to which no monitor objects.
+    Before the first image, they have values to which no monitor objects.
     """
     count = len(run.ticks)
     found = np.tile([[0.0], [np.inf], [0.0]], count)

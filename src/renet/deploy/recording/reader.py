@@ -94,7 +94,7 @@ def read_recording(path: Path | str) -> Recording:
     """Read a recording as far as it is whole.
 
     Raises:
-        RenetError: the file is not a recording, has no header, or holds impossible values.
+        RenetError: The file is not a recording, has no header, or holds impossible values.
     """
     path = require_regular(Path(path), _MAX_BYTES, "recording")
     content = _Content()
@@ -125,7 +125,7 @@ def _demand_mcap(file: BinaryIO, path: Path) -> None:
 
 
 def _records(file: BinaryIO) -> Iterator[McapRecord]:
-    """Schemas, channels and messages, up to the first record that is torn or damaged.
+    """Yield schemas, channels and messages, up to the first record that is torn or damaged.
 
     The last record is a `DataEnd` if the file is whole up to its index.
     """
@@ -157,10 +157,10 @@ def _records(file: BinaryIO) -> Iterator[McapRecord]:
 
 
 def _unpack(data: bytes) -> bytes | None:
-    """Content of a chunk; None if it is damaged.
+    """Return the content of a chunk; None if it is damaged.
 
     Raises:
-        ValueError: it is larger than any chunk of a run, or compressed in another way.
+        ValueError: The chunk is larger than any of a run, or compressed in another way.
     """
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(data)))
@@ -185,7 +185,7 @@ def _unpack(data: bytes) -> bytes | None:
 
 
 def _split(plain: bytes) -> list[McapRecord]:
-    """Records in the content of a chunk; raises ValueError if there are none."""
+    """Split the content of a chunk into records; raises ValueError if it is none."""
     try:
         return breakup_chunk(Chunk("", plain, 0, 0, 0, len(plain)))
     except (McapError, struct.error, OverflowError) as error:
@@ -222,7 +222,7 @@ class _Content:
             self._take_message(self._topics[record.channel_id], record.data)
 
     def _take_message(self, topic: str, message: bytes) -> None:
-        """Add a message; those of unknown topics are left out."""
+        """Add a message; a message of an unknown topic is left out."""
         if topic == Topic.RUN:
             self._header = _header(parse_json(message, "header"))
         elif topic == Topic.TICK:
@@ -256,7 +256,7 @@ class _Content:
 
 
 def _topic_of(schema: Schema) -> str:
-    """Topic whose messages a schema describes; empty for unknown schemas."""
+    """Return the topic whose messages a schema describes; empty for an unknown schema."""
     for topic, ours in MESSAGE_TYPES.items():
         if (schema.name, schema.data) == (ours.name, ours.definition.encode()):
             return topic
@@ -264,7 +264,7 @@ def _topic_of(schema: Schema) -> str:
 
 
 def _record_of(message: bytes, layout: np.dtype) -> bytes:
-    """Bytes of a record of `tick`; raises ValueError for a message of another size."""
+    """Return the bytes of a record of `tick`; raises ValueError for a message of another size."""
     payload = payload_of(message)
     if len(payload) != layout.itemsize:
         raise ValueError(f"a message has {len(payload)} bytes in place of {layout.itemsize}")
@@ -272,11 +272,11 @@ def _record_of(message: bytes, layout: np.dtype) -> bytes:
 
 
 def _timed(events: list[tuple[int, str, str]], now: np.ndarray) -> list[Event]:
-    """Events with the exact times of their ticks.
+    """Return events with the exact times of their ticks.
 
     Args:
-        events: times in ns, names and reasons.
-        now: [T] s, times of the ticks.
+        events: Times in ns, names and reasons.
+        now: Times of the ticks, [T] s.
     """
     stamps = np.rint(1e9 * np.clip(now, 0.0, LAST_SECOND)).astype(np.int64)
     timed = []
@@ -290,7 +290,7 @@ def _timed(events: list[tuple[int, str, str]], now: np.ndarray) -> list[Event]:
 
 
 def _header(value: Any) -> dict[str, Any]:
-    """Header; raises ValueError if an entry that readers rely on is of another type."""
+    """Check a header; raises ValueError if an entry that readers rely on is of another type."""
     msgspec.convert(value, Header)
     return value
 

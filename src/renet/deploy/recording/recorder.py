@@ -31,9 +31,9 @@ from renet.files import create
 from renet.interface import DEPTH_SHAPE
 
 _TICKS_PER_CHUNK = 50
-"""Control ticks of a chunk: one second."""
+"""Number of control ticks in a chunk: one second."""
 MAX_CHUNKS = 20
-"""Most chunks, each of one second, that wait for the disk."""
+"""Largest number of chunks, of one second each, that wait for the disk."""
 DISK_SECONDS = 5.0
 """Longest wait of `close` for the disk, s."""
 
@@ -59,14 +59,14 @@ class Recorder:
         """Create the file.
 
         Args:
-            path: of the file, which must not exist.
-            header: configuration of the run, in JSON values.
-            patient: wait for a slow disk, at most `DISK_SECONDS` at a time: for runs on a simulated
+            path: Path of the file, which must not exist.
+            header: Configuration of the run, in JSON values.
+            patient: Wait for a slow disk, at most `DISK_SECONDS` at a time: for runs on a simulated
                 clock, with which no disk keeps up for long.
-            time: seconds on the robot's clock at which the run begins.
+            time: Time on the robot's clock at which the run begins, s.
 
         Raises:
-            RenetError: the file cannot be created.
+            RenetError: The file cannot be created.
         """
         self._patience = DISK_SECONDS if patient else 0.0
         self._file = create(path, "recording")
@@ -79,7 +79,7 @@ class Recorder:
         # Handed over to the thread at each chunk.
         self._entries = [_Entry(Topic.RUN, time, header)]
         self._ticks = 0
-        """Ticks since the last chunk."""
+        """Number of ticks since the last chunk."""
         self._last_frame: tuple[int, float] | None = None
         self._last_power = np.full((), np.nan, POWER_DTYPE)
         self._thread = threading.Thread(target=self._write, daemon=True)
@@ -104,13 +104,13 @@ class Recorder:
         """Record one control tick; never raises, whatever a driver returned.
 
         Args:
-            state: reading of the robot, as its driver returned it.
-            frame: newest depth frame, as the camera returned it.
-            teleop: the operator's command.
-            now: time of the tick, s on the robot's clock.
-            decision: of the controller.
-            compute_ms: duration of the controller's tick, ms.
-            base_position: [3] m in the world, where a simulator knows it.
+            state: Reading of the robot, as its driver returned it.
+            frame: Newest depth frame, as the camera returned it.
+            teleop: The operator's command.
+            now: Time of the tick on the robot's clock, s.
+            decision: The controller's decision.
+            compute_ms: Duration of the controller's tick, ms.
+            base_position: Position of the base in the world, [3] m; None for a real robot.
         """
         tick = np.zeros((), TICK_DTYPE)
         tick["now"] = now
@@ -131,7 +131,7 @@ class Recorder:
             self._flush()
 
     def close(self) -> None:
-        """Write the rest, for at most twice `DISK_SECONDS`; safe to call twice."""
+        """Write the rest, for at most twice `DISK_SECONDS`; a second call does nothing."""
         if self._thread.is_alive():
             self._flush()
             with suppress(Full):

@@ -34,20 +34,20 @@ class ScriptedInference(InlineInference):
         """Row of the control tick that is replayed."""
 
     def ready(self) -> bool:
-        """True if the thread of the run was ready at this step."""
+        """Return True if the thread of the run was ready at this step."""
         return not self._ticks["fallback"][self.step]
 
     def take(self):
-        """Result of the vision tick; None if the run took none at this step."""
+        """Return the result of the vision tick; None if the run took none at this step."""
         row = self._ticks[self.step]
         return super().take() if row["inferred"] and not row["fallback"] else None
 
 
 def replay_run(run: Recording, bundle: Bundle) -> Iterator[Decision]:
-    """Decisions of the controller at each tick of a run, from the same inputs.
+    """Yield the controller's decision at each tick of a run, given the same inputs.
 
     Raises:
-        RenetError: the run was made with another bundle, or its log lacks limits or mode.
+        RenetError: The run was made with another bundle, or its header lacks limits or mode.
     """
     controller, inference = _controller(run, bundle)
     image = _UNREADABLE
@@ -66,7 +66,7 @@ def replay_run(run: Recording, bundle: Bundle) -> Iterator[Decision]:
 
 
 def _controller(run: Recording, bundle: Bundle) -> tuple[Controller, ScriptedInference]:
-    """Controller with the limits of a run, and its vision; raises RenetError as `replay_run`."""
+    """Make the controller of a run, and its vision; raises RenetError as `replay_run`."""
     made_with = run.header.get("bundle_sha256")
     if made_with != bundle.sha256:
         raise RenetError(
@@ -87,7 +87,7 @@ def _controller(run: Recording, bundle: Bundle) -> tuple[Controller, ScriptedInf
 
 
 def replay_error(run: Recording, bundle: Bundle) -> float:
-    """Largest difference between recorded and replayed joint targets, rad; zero if equal."""
+    """Return the largest difference between recorded and replayed joint targets, rad."""
     worst = 0.0
     for tick, decision in zip(run.ticks, replay_run(run, bundle), strict=True):
         apart = np.abs(tick["position"] - decision.command.position).max()
@@ -97,7 +97,7 @@ def replay_error(run: Recording, bundle: Bundle) -> float:
 
 
 def _state(tick: np.ndarray) -> RobotState | None:
-    """Reading of a recorded tick; None if there was none."""
+    """Return the reading of a recorded tick; None if there was none."""
     if tick["state"] == NONE:
         return None
     values: dict[str, Any] = {name: tick[name] for name in VECTORS}
@@ -105,7 +105,7 @@ def _state(tick: np.ndarray) -> RobotState | None:
 
 
 def _frame(tick: np.ndarray, image: np.ndarray) -> DepthFrame | None:
-    """Depth frame of a recorded tick with the newest image; None if there was none."""
+    """Return the depth frame of a recorded tick, given the newest image; None if there was none."""
     if tick["frame"] == NONE:
         return None
     image = image if tick["frame"] == GOOD else _UNREADABLE
@@ -122,11 +122,11 @@ class ReplayCamera(Camera):
         """Set up without showing an image.
 
         Args:
-            run: whose images are shown.
-            now: returns the time on the robot's clock, s.
+            run: Run with the images to show.
+            now: Function that returns the time on the robot's clock, s.
 
         Raises:
-            RenetError: the run has no images.
+            RenetError: The run has no images.
         """
         if not run.images:
             raise RenetError("the recording holds no images: it was made without a camera")
@@ -142,7 +142,7 @@ class ReplayCamera(Camera):
         self._begun = self._now()
 
     def latest(self) -> DepthFrame | None:
-        """Newest frame; None before the first."""
+        """Return the newest frame; None before the first."""
         since = self._now() - self._begun
         # The small number makes up for the rounding of clocks.
         newest = int(np.searchsorted(self._times, since + 1e-6, side="right")) - 1

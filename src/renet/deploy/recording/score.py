@@ -40,13 +40,13 @@ _OLD_IMAGE = 0.3
 _CROSSED = "crossed"
 _FELL_INTO = "fell into"
 _MAX_REASON = 90
-"""Most characters of a reason in the picture: half of its width."""
+"""Largest number of characters of a reason in the picture: half of its width."""
 _MAX_POINTS = 5000
-"""Most points of a curve; longer runs are thinned out."""
+"""Largest number of points of a curve; longer runs are thinned out."""
 _CUT = 3.0
 """Multiple of the threshold at which a monitor's curve is cut off."""
 _MAX_MARKS = 40
-"""Most events and onsets in the picture."""
+"""Largest number of events and of onsets in the picture."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def score_log(cfg: ScoreCfg) -> Path:
     """Write score and timeline, and print the score; returns their folder.
 
     Raises:
-        RenetError: the file is no recording, or was made with another bundle than `replay`.
+        RenetError: The file is no recording, or was made with another bundle than `replay`.
     """
     run = read_recording(cfg.recording)
     difference = None if cfg.replay is None else replay_error(run, Bundle.load(cfg.replay))
@@ -94,15 +94,15 @@ def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> d
 
 
 def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
-    """Falls, distance, speed, switches and timing of a run.
+    """Return falls, distance, speed, switches and timing of a run.
 
-    Shares are of the time that the robot walks: `vision_share` on VP, of it `memory_share` without
-    an image and `old_image_share` on an image that it takes for new though it is not. The distance
-    is that between the places where walking began and ended.
+    Shares are of the time that the robot walks: `vision_share` on VP, `memory_share` on VP without
+    an image, and `old_image_share` on VP with an old image that it takes for new. The distance is
+    measured from the place where walking began to the place where it ended.
 
     Args:
-        run: to score.
-        onsets: seconds from the run's start at which vision was spoilt.
+        run: Run to score.
+        onsets: Times at which vision was spoilt, s from the run's start.
     """
     ticks = run.ticks
     start = ticks["now"][0] if len(ticks) else 0.0
@@ -146,7 +146,7 @@ def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
 
 
 def summary(score: dict[str, Any]) -> str:
-    """Score of a run in one line."""
+    """Write the score of a run in one line."""
     delays = ", ".join("never" if d is None else f"{d:.2f} s" for d in score["switch_delay_s"])
     # With its memory a policy may do without OP.
     if score["memory_share"] and not any(score["switch_delay_s"]):
@@ -166,7 +166,7 @@ def summary(score: dict[str, Any]) -> str:
 
 
 def state_shares(score: dict[str, Any]) -> str:
-    """Shares of the walk in each of the selector's states, in whole per cent that add up to 100."""
+    """Write the shares of the selector's states in a walk, in whole per cent that add up to 100."""
     remembered = score["memory_share"]
     old = score["old_image_share"]
     parts = {
@@ -213,11 +213,11 @@ def sunk_in_gap(run: Recording) -> np.ndarray:
 
 
 def _crossing(run: Recording, path: np.ndarray, sunk: bool) -> str:
-    """Verdict whether a robot's path [T, 3] m left its simulated tile; empty without a tile.
+    """Say whether a robot left its simulated tile; empty without a tile.
 
     Args:
-        run: with the tile in its header.
-        path: where it walked, [T, 3] m.
+        run: Run with the tile in its header.
+        path: Positions of the base while it walked, [T, 3] m.
         sunk: True if it was in the tile's gap.
     """
     terrain = run.header.get("terrain")
@@ -232,11 +232,11 @@ def _crossing(run: Recording, path: np.ndarray, sunk: bool) -> str:
 
 
 def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
-    """Time from an onset to OP, s; zero if OP acted already, None if it never did.
+    """Return the time from an onset to OP, s; zero if OP acted already, None if it never did.
 
     Args:
-        blind: times of the steps that walked on OP, s from the run's start.
-        onset: s from the run's start.
+        blind: Times of the steps that walked on OP, s from the run's start.
+        onset: Time of the onset, s from the run's start.
     """
     later = blind[blind >= onset - 1e-9]
     return round(float(later[0] - onset), 3) if len(later) else None
@@ -309,12 +309,12 @@ def draw_run(run: Recording, onsets: Sequence[float], path: Path) -> None:
     """Draw the monitors that objected, vision probability and speed over the states of a run.
 
     Args:
-        run: to draw.
-        onsets: seconds from the run's start at which vision was spoilt.
-        path: of the picture; its ending gives the format.
+        run: Run to draw.
+        onsets: Times at which vision was spoilt, s from the run's start.
+        path: Path of the picture; its ending gives the format.
 
     Raises:
-        RenetError: matplotlib is not installed, or the picture cannot be written.
+        RenetError: Matplotlib is not installed, or the picture cannot be written.
     """
     try:
         from matplotlib.figure import Figure

@@ -22,7 +22,7 @@ _MAX_AHEAD = 0.01
 
 
 def clean_state(raw: RobotState, now: float) -> RobotState:
-    """Copy of a reading as float arrays; raises RenetError naming the value that cannot be one."""
+    """Copy a reading as float arrays; raises RenetError with the name of a value that is wrong."""
     arrays = {}
     for name, size in VECTORS.items():
         try:
@@ -45,7 +45,7 @@ def clean_state(raw: RobotState, now: float) -> RobotState:
 
 
 def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: float) -> str:
-    """Reason why a clean reading forbids motion; empty if it does not."""
+    """Return why a clean reading forbids motion; empty if it does not."""
     # After the clock jumped back the age is negative.
     if abs(now - state.time) > cfg.max_state_age:
         return f"the state is {1000 * (now - state.time):.0f} ms old"
@@ -65,7 +65,7 @@ def state_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg, now: floa
 
 
 def stand_up_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str:
-    """Reason why a robot that stood up must not walk; empty if its joints followed."""
+    """Return why a robot that stood up must not walk; empty if its joints followed."""
     error = np.abs(state.joint_position - np.asarray(robot.default_position))
     worst = int(np.argmax(error))
     if error[worst] <= cfg.max_stand_up_error:
@@ -74,7 +74,7 @@ def stand_up_problem(state: RobotState, robot: RobotSpec, cfg: SafetyCfg) -> str
 
 
 def teleop_problem(teleop: TeleopCommand) -> str:
-    """Reason why the operator's command forbids motion; empty if it does not."""
+    """Return why the operator's command forbids motion; empty if it does not."""
     if teleop.stop:
         return "operator stop"
     if not all(map(math.isfinite, (teleop.forward, teleop.left, teleop.turn_rate))):
@@ -91,19 +91,19 @@ def pre_arm_problem(
     cfg: SafetyCfg,
     now: float,
 ) -> str:
-    """Reason why the devices forbid standing up; empty if they do not.
+    """Return why the devices forbid standing up; empty if they do not.
 
     The checks that the controller makes at every tick (joints within range, tilt, age of the
     reading) are not repeated here.
 
     Args:
-        state: newest reading of the robot.
-        teleop: the operator's command.
-        frame: newest depth frame.
+        state: Newest reading of the robot.
+        teleop: The operator's command.
+        frame: Newest depth frame.
         camera: True if the run has a camera.
-        recorder: problem of the recorder; empty if it has none.
-        cfg: limits of the run.
-        now: seconds on the robot's clock.
+        recorder: Problem of the recorder; empty if it has none.
+        cfg: Limits of the run.
+        now: Time on the robot's clock, s.
     """
     # A stick that is already held would start the walk at once.
     for name, unit in (("forward", "m/s"), ("left", "m/s"), ("turn_rate", "rad/s")):

@@ -1,7 +1,7 @@
-"""Detection of blocked joints: of those that hardly travel while their targets do.
+"""Detection of blocked joints, which hardly move while their targets do.
 
-A robot walks on with one such joint, and most fall when they are braked in mid-stride: the operator
-is told, and decides.
+A robot walks on with one blocked joint, and most robots fall when they are braked in mid-stride:
+the operator is told, and decides.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from renet.deploy.robots.base import RobotState
 from renet.interface import JOINTS, LEGS
 
 WINDOW = 50
-"""Readings, 1 s, over which paths are compared: a leg may be wedged on a stair for less."""
+"""Number of readings, 1 s, over which paths are compared: a stair may hold a leg for less."""
 MIN_TRAVEL = 1.0
 """Path of a joint's target, rad, from which the joint can be judged."""
 _PLAY = 0.3
@@ -41,8 +41,8 @@ class Blocking:
         """Name a joint that hardly moves; empty if all do.
 
         Args:
-            state: reading, newer than the one before.
-            target: [12] rad, the joints' targets since the reading before.
+            state: Reading, newer than the one before.
+            target: Joint targets since the reading before, [12] rad.
         """
         if self._position is not None and self._target is not None:
             place = self._next % WINDOW

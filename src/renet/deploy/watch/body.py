@@ -34,11 +34,10 @@ class BodyWatch:
         self._powered = False
         self._walking = False
         self._estimate = np.zeros(3)
-        """Velocity [3] m/s in the base frame, as the policy estimates it."""
+        """Velocity of the base that the policy estimates, [3] m/s, base frame."""
         self._problem = ""
         self.warning = ""
-        """First thing since the walk began that the operator must know; empty while there is none.
-        """
+        """First warning of the walk for the operator; empty while there is none."""
 
     @property
     def newest(self) -> RobotState | None:
@@ -60,16 +59,16 @@ class BodyWatch:
             self._problem = self._problem or self._speed.problem(state, self._estimate)
 
     def problem(self, now: float) -> str:
-        """Reason why the robot must not move at `now`, s; empty if it may."""
+        """Return why the robot must not move at `now`, s; empty if it may."""
         return self._intake.problem(now) or self._problem
 
     def told(self, command: JointCommand, walking: bool, estimate: np.ndarray) -> None:
         """Keep the command that the robot is given now.
 
         Args:
-            command: of its joint servos.
+            command: Command of its joint servos.
             walking: True while it walks, so that all its joints move.
-            estimate: [3] m/s, velocity of the base in its own frame, as the policy estimates it.
+            estimate: Velocity of the base that the policy estimates, [3] m/s, base frame.
         """
         # A least torque of 0 switches off all that is watched while the robot walks.
         followed = walking and self._cfg.least_torque > 0.0
@@ -88,14 +87,14 @@ class BodyWatch:
 
 
 def _speeds(robot: RobotSpec) -> np.ndarray:
-    """Speeds [12] rad/s beyond which a driver only brakes a joint; infinite for unknown robots."""
+    """Return the speeds beyond which drivers only brake a joint, [12] rad/s; inf if unknown."""
     if robot.name not in robots():
         return np.full(len(robot.joints), np.inf)
     return robots()[robot.name].velocity
 
 
 def _speed_watch(robot: RobotSpec) -> SpeedWatch | None:
-    """Check of the speed; None for robots whose legs are not described."""
+    """Make the check of the speed; None for a robot without a description of its legs."""
     try:
         return SpeedWatch(Legs(robots()[robot.name]))
     except (KeyError, RenetError):

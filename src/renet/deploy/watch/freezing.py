@@ -8,7 +8,7 @@ from renet.deploy.robots.base import VECTORS, RobotState
 from renet.interface import JOINTS
 
 MAX_ALIKE = 5
-"""Most readings in a row, 0.1 s, that may be equal to the last bit."""
+"""Largest number of readings in a row, 0.1 s, that may be equal to the last bit."""
 _MIN_TRAVEL = 0.05
 """Travel of a joint's target, rad, over as many readings from which the joint must move, too. A
 robot that stands still may read the same angle twice, since encoders count steps."""
@@ -28,22 +28,22 @@ class Freezing:
     def __init__(self) -> None:
         self._last: RobotState | None = None
         self._alike = dict.fromkeys(VECTORS, 1)
-        """Equal readings in a row of each sensor, the newest included."""
+        """Number of equal readings in a row of each sensor, including the newest."""
         self._joints: np.ndarray | None = None
-        """Equal angles in a row of each joint, [12]; None while no joint must move."""
+        """Number of equal angles in a row of each joint, [12]; None while no joint must move."""
         self._low = np.zeros(len(JOINTS))
-        """Lowest target [12] rad of each joint over those readings."""
+        """Lowest target of each joint over those readings, [12] rad."""
         self._high = np.zeros(len(JOINTS))
-        """Highest target, likewise."""
+        """Highest target of each joint over those readings, [12] rad."""
 
     def problem(self, state: RobotState, powered: bool, target: np.ndarray | None) -> str:
-        """Reason why a new reading cannot be true; empty if it can.
+        """Return why a new reading cannot be true; empty if it can.
 
         Args:
-            state: the reading, newer than the one before.
-            powered: True while motors hold the robot, so that every sensor shows noise. Of a robot
-                that lies still, one sensor may stay the same for long, but not all of them.
-            target: [12] rad, commanded joint positions; None where joints are not to move.
+            state: The reading, newer than the one before.
+            powered: True while motors hold the robot, so that every sensor shows noise. While a
+                robot lies still, one sensor may stay the same for long, but not all of them.
+            target: Joint targets, [12] rad; None where joints are not to move.
         """
         last = self._last
         self._last = state

@@ -7,7 +7,7 @@ from renet.deploy.safety.checks import EMPTY, OVERHEATED, power_problem
 from renet.deploy.safety.limits import SafetyCfg
 
 _CONFIRMATIONS = 3
-"""Readings in a row that must agree: single ones may be damaged on the way."""
+"""Number of readings in a row that must agree, because single ones may arrive damaged."""
 
 
 class PowerWatch:
@@ -17,9 +17,9 @@ class PowerWatch:
         self._cfg = cfg
         self._newest: float | None = None
         self._warned = 0
-        """Readings in a row near the limits."""
+        """Number of readings in a row near the limits."""
         self._ended = 0
-        """Readings in a row at which the robot must lie down."""
+        """Number of readings in a row at which the robot must lie down."""
         self.warning = ""
         """Message to the operator; empty while there is nothing to say."""
         self.end = ""

@@ -8,9 +8,9 @@ from renet.deploy.robots.base import RobotState, projected_gravity
 from renet.deploy.watch.legs import Legs
 
 _DECAY = 0.98
-"""Weight of the past mean at a control step: that of a running mean over about a second."""
+"""Weight of the past at a control step: the running mean is over about a second."""
 MIN_READINGS = 75
-"""Readings from which the mean can be judged."""
+"""Number of readings from which the mean can be judged."""
 MAX_DIFFERENCE = 1.0
 """Largest difference, m/s, between the legs' speed and the estimated one: at most 0.65 in 560 s of
 walks with pushes of a Go1 and a Go2, on stairs and stones, where the lowest foot does not always
@@ -18,7 +18,7 @@ stand."""
 
 
 class SpeedWatch:
-    """Compares the estimated velocity with that of the base over its lowest foot."""
+    """Compares the estimated velocity with the velocity of the base over its lowest foot."""
 
     def __init__(self, legs: Legs) -> None:
         self._legs = legs
@@ -31,7 +31,7 @@ class SpeedWatch:
         self._count = 0
 
     def problem(self, state: RobotState, estimate: np.ndarray) -> str:
-        """Reason why an estimated velocity [3] m/s, base frame, is wrong; empty if it is not."""
+        """Return why an estimated velocity, [3] m/s, base frame, is wrong; empty if it is not."""
         feet, motion = self._legs.feet(state.joint_position, state.joint_velocity)
         depth = feet @ np.array(projected_gravity(state.quaternion))
         lowest = int(depth.argmax())

@@ -46,8 +46,8 @@ class Network:
         """Join a domain.
 
         Args:
-            interface: Name of a network card, such as eth0. If empty, Cyclone DDS takes that of the
-                variable CYCLONEDDS_URI, or the first.
+            interface: Name of a network card, such as eth0. If empty, Cyclone DDS takes the card
+                of the variable CYCLONEDDS_URI, or the first.
             domain: DDS domain; a robot's is 0.
 
         Raises:
