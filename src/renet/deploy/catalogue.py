@@ -9,7 +9,6 @@ import socket
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -19,10 +18,10 @@ from renet.deploy.cameras.realsense import RealSenseCamera, realsense
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
-from renet.deploy.robots.go1.driver import demand_power_level, go1_robot
+from renet.deploy.robots.go1.driver import POWER_LEVEL, demand_power_level, go1_robot
 from renet.deploy.robots.go2.driver import demand_dds, go2_robot
 from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
-from renet.errors import RenetError, collected, demand_none, install
+from renet.errors import RenetError, collected, demand_none
 from renet.interface import Terrain
 from renet.motor_models import IDEAL, find_motors
 from renet.robots import GO1, GO2, Robot, find_robot
@@ -108,7 +107,7 @@ class Go1Cfg(DriverCfg):
 
     robot_host: str = "192.168.123.10"
     """Address of its motor board."""
-    power_level: int = 9
+    power_level: int = POWER_LEVEL
     """Level of the vendor's own overload guard, 1 (10 % of the motors' power) to 10."""
 
     def check(self) -> None:
@@ -136,15 +135,14 @@ class Go2Cfg(DriverCfg):
         """Raise RenetError without an interface, or without Cyclone DDS."""
         # All problems go into one error, so that nobody has to try again for each.
         names = [name for _, name in socket.if_nameindex()]
+        cards = ", ".join(names)
         problems = []
         if not self.interface:
-            cards = ", ".join(names)
             problems.append(f"--robot go2 needs --interface, its network card: one of {cards}")
         elif self.interface not in names:
-            cards = ", ".join(names)
             problems.append(f"no network interface {self.interface!r} here, only {cards}")
         with collected(problems):
-            demand_dds()
+            demand_dds("the Go2")
         demand_none(problems)
 
     def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
@@ -236,11 +234,7 @@ class Ros2Cfg(TeleopCfg):
 
     def check(self) -> None:
         """Raise RenetError for a wrong topic or domain, or if Cyclone DDS is not installed."""
-        if find_spec("cyclonedds") is None:
-            raise RenetError(
-                f"--teleop ros2 needs Cyclone DDS: {install('go2')} (docs/deploy.md says what to "
-                "do on ARM)"
-            )
+        demand_dds("--teleop ros2")
         from renet.deploy.ros2 import TOPIC, domain_of
 
         if not TOPIC.fullmatch(self.topic):

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 
 from renet import cli
-from renet.deploy.catalogue import Go2Cfg, SimulationCfg
+from renet.deploy.catalogue import Go2Cfg, Ros2Cfg, SimulationCfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.recording.reader import read_recording
@@ -131,6 +131,8 @@ def test_without_cyclone_dds_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(driver, "find_spec", lambda name: None)
     with pytest.raises(RenetError, match=r"pip install .* -e '\.\[go2\]'"):
         go2_robot("lo")
+    with pytest.raises(RenetError, match=r"^--teleop ros2 needs Cyclone DDS: "):
+        Ros2Cfg().check()
 
 
 def test_a_simulated_robot_in_a_process_of_its_own_is_found_and_released():

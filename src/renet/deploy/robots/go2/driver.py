@@ -7,11 +7,11 @@ from renet.errors import RenetError, install
 from renet.robots import GO2
 
 
-def demand_dds() -> None:
-    """Raise RenetError unless Cyclone DDS is installed."""
+def demand_dds(user: str) -> None:
+    """Raise RenetError, which names the `user` of Cyclone DDS, unless it is installed."""
     if find_spec("cyclonedds") is None:
         raise RenetError(
-            f"the Go2 needs Cyclone DDS: {install('go2')} (docs/deploy.md says what to do on ARM)"
+            f"{user} needs Cyclone DDS: {install('go2')} (docs/deploy.md says what to do on ARM)"
         )
 
 
@@ -32,7 +32,7 @@ def go2_robot(
     Raises:
         RenetError: Cyclone DDS is not installed.
     """
-    demand_dds()
+    demand_dds("the Go2")
     return RealRobot(
         "Go2",
         GO2,

@@ -165,12 +165,10 @@ def crc(raw: np.ndarray) -> int:
     return int(f"{value:032b}"[::-1], 2)
 
 
-def read_types(
-    path: Path = TYPES_FILE, sha256: str = TYPES_SHA256
-) -> dict[str, tuple[bytes, bytes]]:
+def read_types(path: Path = TYPES_FILE) -> dict[str, tuple[bytes, bytes]]:
     """Read the type information and mapping to announce, by type; raises RenetError if damaged."""
     content = path.read_bytes()
-    if hashlib.sha256(content).hexdigest() != sha256:
+    if hashlib.sha256(content).hexdigest() != TYPES_SHA256:
         raise RenetError(f"{path} is damaged: install renet again")
     found = {}
     for name, (information, mapping) in json.loads(content).items():
