@@ -109,12 +109,12 @@ class ReachStudy(WalkingStudy):
         """Walk on one tile with each conduct, and with a healthy camera."""
         cfg = one_tile_cfg(evaluator, "gap", gap)
         dead = (Injection.of(*DEAD_CAMERA, self.onset, self.seconds),)
-        # One group with a healthy camera, which no conduct changes, and one for each conduct.
+        # One group with a healthy camera, whose conduct changes nothing, and one for each conduct.
         trials = self.trial_group("memory")
-        conducts: list[Unseen] = ["walk"] * self.robots_each
-        for conduct in self.unseen:
+        for _ in self.unseen:
             trials += self.trial_group("memory", dead)
-            conducts += [conduct] * self.robots_each
+        groups: tuple[Unseen, ...] = ("walk", *self.unseen)
+        conducts: list[Unseen] = [conduct for conduct in groups for _ in range(self.robots_each)]
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         rollout = evaluator.rollout(env, trials, self.seed, conducts)
         trace = rollout.run(round(self.seconds / CONTROL_DT), name, retire=True)
