@@ -226,7 +226,7 @@ def walk(cfg: Cfg, fault: Fault | None, seed: int, terrain: str, seconds: float)
         return TeleopCommand(arm=round(now / CONTROL_DT) == 1, forward=asked[0], turn_rate=asked[1])
 
     def note(command, state) -> None:
-        turn_rate = robot.data.qvel[robot._spin][2]
+        turn_rate = robot.data.qvel[robot._motion][5]
         rotation = robot.base_rotation
         told = controller.decision.asked
         path.append(
