@@ -24,8 +24,9 @@ from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
 from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.replay import replay_error
-from renet.deploy.recording.score import SCORE, TIMELINE, score_run, write_score
+from renet.deploy.recording.score import SCORE, score_run, write_score
 from renet.deploy.recording.tick import MODES
+from renet.deploy.recording.timeline import TIMELINE
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import ScriptedTeleop, TeleopCommand

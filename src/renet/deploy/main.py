@@ -18,7 +18,8 @@ from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.recorder import Recorder
-from renet.deploy.recording.score import SCORE, TIMELINE, summary, write_score
+from renet.deploy.recording.score import SCORE, summary, write_score
+from renet.deploy.recording.timeline import TIMELINE
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.machine import Mode, SafetyMachine

@@ -1,53 +1,26 @@
-"""Scores and timelines of flights made by hand, whose falls, metres and delays are known."""
+"""Scores of flights made by hand, whose falls, metres and delays are known."""
 
 import json
-import xml.etree.ElementTree as ET
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from renet.deploy.controller import Event
-from renet.deploy.recording.objections import objectors, ratios
 from renet.deploy.recording.reader import Recording
 from renet.deploy.recording.score import (
-    BANDS,
-    draw_run,
     score_run,
     state_shares,
     summary,
     track,
     write_score,
 )
-from renet.deploy.recording.tick import GOOD, MODES, NONE, TICK_DTYPE
+from renet.deploy.recording.tick import MODES, NONE, TICK_DTYPE
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 
 from ..fakes import turned
-
-STEPS, RISEN, BLIND = 500, 100, 300
-
-
-@pytest.fixture
-def flight() -> Recording:
-    """2 s of rising, then walking at 0.5 m/s to the left of the start; OP from 6 s on."""
-    ticks = np.zeros(STEPS, TICK_DTYPE)
-    ticks["now"] = 1000.0 + CONTROL_DT * np.arange(STEPS)
-    ticks["state"], ticks["quaternion"] = GOOD, turned("z", 90)
-    ticks["mode"] = MODES.index(Mode.WALKING)
-    ticks["mode"][:RISEN] = MODES.index(Mode.STANDING_UP)
-    ticks["vision"][RISEN:BLIND] = True
-    ticks["has_image"][: BLIND - 20] = True
-    ticks["told"][:, 0] = 0.6
-    ticks["velocity_op"][:, 0], ticks["velocity_vp"][:, 0] = 0.4, 0.5
-    ticks["base_position"] = np.nan
-    ticks["compute_ms"] = 1.0
-    ticks["compute_ms"][7] = 9.0
-    ticks["anomaly"] = 0.01
-    ticks["anomaly"][:RISEN] = np.inf
-    events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "blind", "no <new> image")]
-    return Recording({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
+from .conftest import BLIND, RISEN, STEPS
 
 
 def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
@@ -150,39 +123,6 @@ def test_an_empty_flight(tmp_path):
     assert json.loads((tmp_path / "new" / "score.json").read_text()) == result
 
 
-def drawn(flight: Recording, onsets, folder) -> str:
-    """Everything the timeline shows as text, with the colours of its shapes."""
-    draw_run(flight, onsets, folder / "timeline.svg")
-    page = (folder / "timeline.svg").read_text()
-    ET.fromstring(page)
-    return page
-
-
-def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
-    from matplotlib import rc_context
-
-    with rc_context({"svg.fonttype": "none"}):
-        page = drawn(flight, [5.8, 7.0], tmp_path)
-        for colour, _ in BANDS:
-            assert page.count(f"fill: {colour}") >= 4, "three panels and the legend"
-        assert page.count("stroke: #a3121f") == 6, "two onsets in three panels"
-        reason = next(line for line in page.splitlines() if "blind: no &lt;new&gt; image" in line)
-        assert "text-anchor: end" in reason, "else a late one leaves the picture"
-        flight.events.append(Event(flight.ticks["now"][300], "unseen", "the ground ends: it stops"))
-        assert "unseen: the ground ends: it stops" in drawn(flight, [], tmp_path)
-        hostile = replace(flight, header={"bundle": "$\\frac{$<script>", "beta": 1e14})
-        assert "&lt;script&gt;" in drawn(hostile, [], tmp_path)
-
-
-def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
-    for end in (0.0, 1e-3, 5e5):
-        flight.ticks["now"] = np.linspace(0.0, end, STEPS)
-        assert len(drawn(flight, [], tmp_path)) < 400_000
-    many = [Event(1000.0 + i, "blind", "x" * 500) for i in range(1000)]
-    nothing = Recording({}, np.zeros(0, TICK_DTYPE), {}, many, False)
-    assert len(drawn(nothing, [], tmp_path)) < 400_000
-
-
 def test_a_folder_that_cannot_be_written(flight, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RenetError, match="cannot write the score"):
@@ -204,46 +144,3 @@ def test_shares_of_a_walk_add_up(vision, memory, old, words):
     assert state_shares(shares) == words
     percent = [int(part.split()[-2]) for part in words.split(", ")]
     assert sum(percent) == 100
-
-
-def test_the_timeline_names_the_monitor_that_objected(flight, tmp_path):
-    from matplotlib import rc_context
-
-    flight.header["thresholds"] = {"frame_age": 0.2, "uniformity": -0.03, "variance": 9.0}
-    flight.ticks["frame_age"] = 0.05
-    flight.ticks["frame_age"][300:] = 0.5
-    flight.ticks["variance"] = 8.0
-    rng = np.random.default_rng(0)
-    flight.images[0] = rng.uniform(0, 1, (48, 64)).astype(np.float16)
-    flight.images[400] = np.zeros((48, 64), np.float16)
-    found = objectors(flight)
-    assert [*found] == ["uniformity", "frame_age"]
-    np.testing.assert_allclose(found["frame_age"][[299, 300]], [0.25, 2.5], rtol=1e-6)
-    assert found["uniformity"][399] == pytest.approx(0.03 / 0.2887, rel=0.05)
-    assert found["uniformity"][400] > 1.0
-    with rc_context({"svg.fonttype": "none"}):
-        page = drawn(flight, [], tmp_path)
-    assert "frame age: no new image" in page
-    assert "uniformity: the image is blank" in page
-    assert "variance" not in page
-
-
-def test_without_an_objection_the_timeline_shows_the_nearest_monitor(flight):
-    flight.header["thresholds"] = {"frame_age": 0.2, "variance": 9.0}
-    flight.ticks["variance"] = 8.0
-    assert [*objectors(flight)] == ["variance"]
-    # Recordings of before thresholds were in the header.
-    del flight.header["thresholds"]
-    assert [*objectors(flight)] == ["reconstruction"]
-    del flight.header["beta"]
-    assert objectors(flight) == {}
-
-
-def test_a_frozen_image_objects_by_its_repeats(flight):
-    flight.header["thresholds"] = {"duplicate": 3.0}
-    image = np.random.default_rng(0).uniform(0, 1, (48, 64)).astype(np.float16)
-    for row in (200, 205, 210, 215):
-        flight.images[row] = image
-    ratio = ratios(flight)["duplicate"]
-    rows = [199, 200, 205, 210, 215, 499]
-    np.testing.assert_allclose(ratio[rows], np.array([0, 1, 2, 3, 4, 4]) / 3)
