@@ -126,8 +126,7 @@ def walk(evaluator: Evaluator, mode: str, cfg: Cfg) -> dict[str, Any]:
 
 def falls_per_minute(trace: Trace, start: int) -> float:
     """Falls of first tries in each minute of walking, from a control step on."""
-    # The first try goes on in a step if it was not over after the step before.
-    walks = np.vstack([np.ones((1, trace.over.shape[1]), bool), ~trace.over[:-1]])[start:]
+    walks = trace.trying[start:]
     minutes = walks.sum() * CONTROL_DT / 60.0
     return float((walks & trace.fell[start:]).sum() / minutes) if minutes else math.nan
 
@@ -161,20 +160,25 @@ def summarise(results: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[s
         results: results of `walk` for every training, by the kind of pilot.
 
     Returns:
-        Rows with `measure`, one interval for each kind of pilot, and `adds`: that of trainings of
-        both estimators as they ship, less that of trainings of vision alone.
+        Rows with `measure`, one interval for each kind of pilot, and `adds`: the difference between
+        trainings of both estimators, as they ship, and trainings of vision alone.
     """
     rows = []
     first = next(iter(results.values()))[0]
     for measure in (*first["crossed"], "falls_per_minute"):
         values = {}
         for pilot, runs in results.items():
-            values[pilot] = [run["crossed"].get(measure, run["falls_per_minute"]) for run in runs]
+            values[pilot] = [_value(run, measure) for run in runs]
         row: dict[str, Any] = {"measure": measure}
         row |= {pilot: mean_interval(numbers) for pilot, numbers in values.items()}
         row["adds"] = difference(values["both"], values["vision_alone"])
         rows.append(row)
     return rows
+
+
+def _value(run: Mapping[str, Any], measure: str) -> float:
+    """Return a measure of one walk: the share that crossed with a camera, or the rate of falls."""
+    return run[measure] if measure == "falls_per_minute" else run["crossed"][measure]
 
 
 def line(row: Mapping[str, Any]) -> str:

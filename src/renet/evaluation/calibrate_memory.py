@@ -90,8 +90,7 @@ def limits_of_trace(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memor
     """
     count = len(dies)
     steps = np.arange(len(trace.over))[:, None]
-    # [T, 2N] bool: the first try goes on, and it ends by a fall.
-    walks = np.vstack([np.ones((1, 2 * count), bool), ~trace.over[:-1]])
+    walks = trace.trying
     falls = walks & trace.fell
     blackout = steps >= dies
     # Falls per step in mode blind on each ground, after the time at which the twin's camera dies.

@@ -144,6 +144,11 @@ class Trace(TrueState):
         return np.logical_or.accumulate(self.ended, axis=0)
 
     @property
+    def trying(self) -> np.ndarray:
+        """[T, N] bool: the first try goes on in this step, or ends with it."""
+        return ~np.vstack([np.zeros((1, self.ended.shape[1]), bool), self.over[:-1]])
+
+    @property
     def fallen(self) -> np.ndarray:
         """[T, N] bool: the first try is over, by a fall."""
         return self.over & self.first_try()[1]
