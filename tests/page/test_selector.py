@@ -18,7 +18,11 @@ from renet.selector.monitors import SelectorInput
 from tests.page.conftest import run_node
 
 STEPS = 3000
-PICTURES = 6
+PICTURES = 8
+"""Number of images, of which the last four are odd (see `images`)."""
+LIVE = PICTURES - 4
+LIMITS = ("visionThreshold", "near", "covered", "patch", "frozenPatches", "steady", "agrees")
+"""Entries of the contract that a selector needs, beside those of the camera."""
 SEEN = "fresh age invalid velocityOp velocityVp hasImage"
 SEEN += " anomalyScore varianceScore surprise mapError"
 NAMES = {re.sub("([A-Z])", r"_\1", name).lower(): name for name in SEEN.split()}
@@ -26,9 +30,11 @@ NAMES = {re.sub("([A-Z])", r"_\1", name).lower(): name for name in SEEN.split()}
 
 
 def images(rng: np.random.Generator) -> np.ndarray:
-    """Live ones, a blank one and a covered one."""
+    """Live ones, two whose lower half is the same, a blank one and a covered one."""
     pictures = rng.uniform(0.2, 0.9, (PICTURES, *DEPTH_SHAPE)).astype(np.float32)
-    pictures[-2], pictures[-1, :30] = 0.5, 0.01
+    pictures[-3, 24:] = pictures[-4, 24:]
+    pictures[-2] = 0.5
+    pictures[-1, :30] = 0.01
     return pictures
 
 
@@ -38,14 +44,17 @@ def moods(rng: np.random.Generator, limits: dict[str, float]) -> list[dict[str, 
     for step in range(STEPS):
         if left == 0:
             mood = str(
-                rng.choice(["well", "well", "late", "frozen", "spoilt", "blank", "apart", "lying"])
+                rng.choice(
+                    ["well", "well", "late", "frozen", "half", "spoilt", "blank", "apart", "lying"]
+                )
             )
             left = int(rng.integers(5, 150))
         left -= 1
         now += float(rng.choice([0.0, 0.02, 0.02, 0.021, 0.05]))
         tick = step % 5 == 0
         if tick and mood != "frozen":
-            picture = {"blank": PICTURES - 2 + step % 2}.get(mood, step % (PICTURES - 2))
+            odd = {"half": LIVE + step % 2, "blank": PICTURES - 2 + step % 2}
+            picture = odd.get(mood, step % LIVE)
         fresh = bool(step == 0 or (tick and mood != "late"))
         bad = 3.0 if mood == "spoilt" else 0.3
         scores = {
@@ -105,10 +114,7 @@ def test_selector_decides_and_says_the_same(node_page, tmp_path: Path, kind, mem
     steps = moods(rng, limits)
     given = {
         "spec": shared["bundles"][0]["selectors"][kind],
-        "contract": {
-            name: shared[name]
-            for name in ("visionThreshold", "near", "covered", "steady", "agrees")
-        },
+        "contract": {name: shared[name] for name in (*LIMITS, "camera")},
         "images": pictures.reshape(PICTURES, -1).tolist(),
         "steps": steps,
     }

@@ -65,6 +65,29 @@ def test_equal_images_in_a_row_are_counted():
     assert repeats(True, True) == [[1, 1]]
 
 
+def test_images_equal_in_part_are_counted():
+    scorer = Scorer(2)
+    live = np.random.default_rng(1)
+    strip = live.random((4, 32))
+
+    def partly_equal(strip: np.ndarray, column: int = 8) -> list:
+        image = live.random((2, 48, 64))
+        image[1, 20:24, column : column + strip.shape[1]] = strip
+        given = seen(image=image, fresh=np.ones(2, bool))
+        return scorer.scores(given, ["partly_frozen"]).tolist()
+
+    for count in (1, 2, 3):
+        assert partly_equal(strip) == [[1, count]]
+    scorer.reset(np.array([False, True]))
+    assert partly_equal(strip) == [[1, 1]]
+    # Too few patches, another place, and ground out of range or in a filled hole.
+    assert partly_equal(strip[:, :28]) == [[1, 1]]
+    assert partly_equal(strip[:, :28]) == [[1, 1]]
+    assert partly_equal(strip, column=9) == [[1, 1]]
+    for _ in range(3):
+        assert partly_equal(np.ones((4, 32))) == [[1, 1]]
+
+
 def test_only_a_lens_that_stays_covered_counts_as_such():
     scorer, nose = Scorer(2), blank(0.02)
     nose[1, :28] = 0.5  # Over half of its pixels see past the platform.

@@ -11,6 +11,7 @@ const SCORES = {
   invalid_fraction: () => (seen) => seen.invalid,
   disagreement: () => (seen) => Math.hypot(...seen.velocityOp.map((v, i) => v - seen.velocityVp[i])),
   duplicate: equalInARow,
+  partly_frozen: partlyEqualInARow,
   uniformity: () => oncePerImage((image) => -standardDeviation(image)),
   nearness: coveredInARow,
   map_error: () => (seen) => seen.mapError,
@@ -27,6 +28,39 @@ function equalInARow() {
     }
     return run;
   };
+}
+
+/** How many images arrived in a row that are equal in part, as the contract says. */
+function partlyEqualInARow({ patch, frozenPatches, camera }) {
+  let last = null;
+  let run = 0;
+  return ({ image, fresh }) => {
+    if (fresh) {
+      const frozen = last && countFrozenPatches(image, last, patch, camera.columns) >= frozenPatches;
+      run = frozen ? run + 1 : 1;
+      last = image;
+    }
+    return run;
+  };
+}
+
+/** How many square patches show again what they showed before; those of one depth do not count. */
+function countFrozenPatches(image, last, side, columns) {
+  let frozen = 0;
+  for (let row = 0; row < image.length / columns; row += side) {
+    for (let column = 0; column < columns; column += side) {
+      const corner = row * columns + column;
+      let varied = false;
+      let unchanged = true;
+      for (let k = 0; k < side * side && unchanged; k++) {
+        const pixel = corner + Math.floor(k / side) * columns + (k % side);
+        varied ||= image[pixel] !== image[corner];
+        unchanged = image[pixel] === last[pixel];
+      }
+      if (varied && unchanged) frozen++;
+    }
+  }
+  return frozen;
 }
 
 /** How many images arrived in a row that the contract calls covered. */
@@ -56,10 +90,11 @@ function standardDeviation(values) {
 export class Selector {
   /**
    * @param {object} spec one of a bundle's `selectors` in the contract.
-   * @param {object} contract visionThreshold, near, covered, steady, agrees.
+   * @param {object} contract visionThreshold, near, covered, patch, frozenPatches, camera, steady, agrees.
    */
   constructor(spec, contract) {
     Object.assign(this, spec, { contract });
+    this.lateness = this.monitors.find(({ name }) => name === "frame_age")?.reason ?? "";
     this.surprisingFrom = this.monitors.find(({ name }) => name === "surprise")?.threshold ?? Infinity;
     this.reset();
   }
@@ -138,7 +173,11 @@ export class Selector {
     const ceasing = leaving || (this.longestMemory > 0 && !good && !this.reason);
     // The first withheld image gave the reason.
     const objection = verdicts.findIndex((fine, i) => !fine && !(this.reason && this.monitors[i].ofImage));
-    if (ceasing && !(good && healthy) && objection >= 0) this.reason = this.monitors[objection].reason;
+    if (ceasing && !(good && healthy)) {
+      if (objection >= 0) this.reason = this.monitors[objection].reason;
+      // No monitor objects to an image that is withheld after a late one.
+      else if (this.steady < this.contract.steady) this.reason ||= this.lateness;
+    }
     // What spoilt the images is no news: that it lasts ends the memory.
     const expired = Number.isFinite(this.withoutImage) && this.withoutImage > this.longestMemory;
     if (leaving && this.longestMemory && expired) {

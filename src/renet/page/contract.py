@@ -34,7 +34,7 @@ from renet.pilot.reach import (
 from renet.robots import Robot, find_robot
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import VISION_THRESHOLD
-from renet.selector.monitors import COVERED, MONITORS, NEAR
+from renet.selector.monitors import COVERED, FROZEN_PATCHES, MONITORS, NEAR, PATCH
 from renet.selector.selector import AGREES, SELECTORS, STEADY
 from renet.terrain.tiles import TILE
 
@@ -101,6 +101,8 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
         "visionThreshold": VISION_THRESHOLD,
         "near": NEAR,
         "covered": COVERED,
+        "patch": PATCH,
+        "frozenPatches": FROZEN_PATCHES,
         "steady": STEADY,
         "agrees": AGREES,
         "reach": _reach(),

@@ -20,6 +20,10 @@ NEAR = 0.05
 """Normalised depth (10 cm of 2 m) below which a stereo camera measures nothing (paper, IV-D)."""
 COVERED = 0.4
 """Share of an image's pixels nearer than `NEAR` above which the lens may be covered."""
+PATCH = 4
+"""Side of the patches of an image that are compared with those of the image before, pixels."""
+FROZEN_PATCHES = 8
+"""Smallest number of equal patches, of 192, with which part of an image counts as frozen."""
 
 
 def _absent() -> np.ndarray:
@@ -116,6 +120,8 @@ class Scorer:
         """Number of equal images that arrived in a row, [N]."""
         self.contrast = np.zeros(num_robots)
         """Standard deviation of the newest image, [N]."""
+        self.partly_equal = np.zeros(num_robots)
+        """Number of images in a row that are equal in part, [N] (see `FROZEN_PATCHES`)."""
         self.near = np.zeros(num_robots)
         """Number of consecutive images of a covered lens, [N] (see `COVERED`)."""
         self._image: np.ndarray | None = None
@@ -133,11 +139,15 @@ class Scorer:
             self._image = seen.image
             self.contrast = seen.image.std(axis=(1, 2))
         if seen.fresh.any():
-            same = (seen.image == self._last).all(axis=(1, 2))
+            equal = seen.image == self._last
+            same = equal.all(axis=(1, 2))
+            frozen = _frozen_patches(seen.image, equal) >= FROZEN_PATCHES
             near = (seen.image < NEAR).mean(axis=(1, 2)) > COVERED
             repeats = np.where(same, self.repeats + 1, 1)
+            partly_equal = np.where(frozen, self.partly_equal + 1, 1)
             covered = np.where(near, self.near + 1, 0)
             self.repeats = np.where(seen.fresh, repeats, self.repeats)
+            self.partly_equal = np.where(seen.fresh, partly_equal, self.partly_equal)
             self.near = np.where(seen.fresh, covered, self.near)
             self._last = np.where(seen.fresh[:, None, None], seen.image, self._last)
         names = MONITORS if names is None else names
@@ -147,8 +157,26 @@ class Scorer:
     def reset(self, mask: np.ndarray) -> None:
         """Forget the last images of the masked robots, [N] bool."""
         self.repeats[mask] = 0
+        self.partly_equal[mask] = 0
         self.near[mask] = 0
         self._last[mask] = np.nan
+
+
+def _frozen_patches(image: np.ndarray, equal: np.ndarray) -> np.ndarray:
+    """Count the patches that show again what they showed before, [N].
+
+    A patch of one depth does not count: it may lie beyond the camera's range, or in a filled hole.
+
+    Args:
+        image: Images, [N, 48, 64] in [0, 1].
+        equal: True for pixels that are equal to those of the image before, [N, 48, 64] bool.
+    """
+    rows, columns = DEPTH_SHAPE
+    patches = (len(image), rows // PATCH, PATCH, columns // PATCH, PATCH)
+    depths = image.reshape(patches)
+    varied = depths.max(axis=(2, 4)) > depths.min(axis=(2, 4))
+    unchanged = equal.reshape(patches).all(axis=(2, 4))
+    return (varied & unchanged).sum(axis=(1, 2))
 
 
 def _disagreement(seen: SelectorInput, images: Scorer) -> np.ndarray:
@@ -174,6 +202,13 @@ MONITORS = {
         # The noise of a live stereo camera never repeats.
         "the image is frozen",
         lambda seen, images: images.repeats,
+        limit=10.0,
+        fallback=3.0,
+        floor=3.0,
+    ),
+    "partly_frozen": Monitor(
+        "part of the image is frozen",
+        lambda seen, images: images.partly_equal,
         limit=10.0,
         fallback=3.0,
         floor=3.0,

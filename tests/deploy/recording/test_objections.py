@@ -24,3 +24,11 @@ def test_a_frozen_image_objects_by_its_repeats(flight):
     ratio = ratios(flight)["duplicate"]
     rows = [199, 200, 205, 210, 215, 499]
     np.testing.assert_allclose(ratio[rows], np.array([0, 1, 2, 3, 4, 4]) / 3)
+
+
+def test_before_the_first_image_no_monitor_of_pixels_objects(flight):
+    limits = {"duplicate": 3.0, "partly_frozen": 3.0, "uniformity": -0.03, "nearness": 10.0}
+    flight.header["thresholds"] = limits
+    flight.images.clear()
+    for ratio in ratios(flight).values():
+        np.testing.assert_array_equal(ratio, 0.0)

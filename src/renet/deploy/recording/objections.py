@@ -25,13 +25,10 @@ def ratios(run: Recording) -> dict[str, np.ndarray]:
     if not thresholds and header.get("beta"):
         thresholds = {"reconstruction": float(header["beta"])}
     apart = ticks["velocity_op"].astype(float) - ticks["velocity_vp"]
-    repeats, contrast, near = _of_images(run)
     scores = {
         "frame_age": ticks["frame_age"],
-        "duplicate": repeats,
+        **_of_images(run),
         "invalid_fraction": ticks["frame_invalid"],
-        "uniformity": -contrast,
-        "nearness": near,
         "variance": ticks["variance"],
         "reconstruction": ticks["anomaly"],
         "surprise": ticks["surprise"],
@@ -70,22 +67,23 @@ def _ratio(score: np.ndarray, threshold: float) -> np.ndarray:
         return score / threshold if threshold > 0.0 else threshold / score
 
 
-def _of_images(run: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return equal images in a row, contrast of the newest, and covered images in a row, [T] each.
+def _of_images(run: Recording) -> dict[str, np.ndarray]:
+    """Return the scores, [T] by name, of the monitors that compare pixels.
 
-    Before the first image, they have values to which no monitor objects.
+    Before the first image, no monitor objects.
     """
     count = len(run.ticks)
-    found = np.tile([[0.0], [np.inf], [0.0]], count)
+    names = ("duplicate", "partly_frozen", "uniformity", "nearness")
+    found = {name: np.zeros(count) for name in names}
+    found["uniformity"][:] = -np.inf
     scorer = Scorer(1)
     for row in sorted(run.images):
         image = run.images[row].astype(float)[None]
-        fresh = np.ones(1, bool)
-        scorer.scores(SelectorInput(np.zeros(1), image=image, fresh=fresh), names=())
-        # The values hold until the next image.
-        found[:, row:] = np.stack([scorer.repeats, scorer.contrast, scorer.near])
-    repeats, contrast, near = found
-    return repeats, contrast, near
+        seen = SelectorInput(np.zeros(1), image=image, fresh=np.ones(1, bool))
+        # The scores hold until the next image.
+        for name, score in zip(names, scorer.scores(seen, names), strict=True):
+            found[name][row:] = score
+    return found
 
 
 def legend_of(name: str) -> str:
