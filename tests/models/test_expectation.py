@@ -1,11 +1,21 @@
 """The expectation of images: its likelihood against PyTorch's, and what it makes of lies."""
 
+from itertools import pairwise
+
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 from torch.distributions import StudentT
 
-from renet.models.expectation import BLOCKS, FREEDOM, ImageExpectation, Recollection, mean_blocks
+from renet.models.expectation import (
+    BLOCKS,
+    FREEDOM,
+    Evidence,
+    ImageExpectation,
+    Recollection,
+    mean_blocks,
+)
 
 
 def recollection(images: Tensor, age: float = 0.0) -> Recollection:
@@ -77,3 +87,49 @@ def test_mirrored_and_scaled_images_surprise_who_has_learned_that_images_stay():
     for lie in (images.flip(-1), 1.3 * images, torch.roll(images, 12, dims=1)):
         surprise = expectation.surprise(known, mean_blocks(lie))
         assert (surprise > healthy.max()).float().mean() > 0.8
+
+
+class Approach(ImageExpectation):
+    """Expectation of images that come nearer by a constant in each step, to 1 cm of 2 m."""
+
+    STEP = 0.02
+
+    def forward(self, known: Recollection) -> tuple[Tensor, Tensor]:
+        expected = known.blocks - self.STEP
+        return expected, torch.full_like(expected, 2.0 * np.log(0.005))
+
+
+def stillness(images: list[Tensor], expectation: ImageExpectation) -> list[float]:
+    """Stillness after each image but the first, of one robot."""
+    evidence = Evidence(torch.zeros(1), torch.zeros(1))
+    found = []
+    for last, image in pairwise(images):
+        evidence = expectation.weigh(recollection(last), mean_blocks(image), evidence)
+        found.append(evidence.stillness.item())
+    return found
+
+
+def test_images_that_stand_still_lack_the_change_and_those_that_move_do_not():
+    torch.manual_seed(0)
+    moving = [slopes(1) * 0 + 0.9 - Approach.STEP * step for step in range(9)]
+    moving = [image + 0.005 * torch.randn_like(image) for image in moving]
+    still = moving[:1] * 9
+    half = [torch.cat((moving[0][:, :24], image[:, 24:]), dim=1) for image in moving]
+    # The change in standard deviations, 4, is squared and summed over 192 blocks in each step; more
+    # than 1000 counts as that. An error counts as at most 3 standard deviations.
+    kept = sum(0.8**age for age in range(8))
+    most = 0.75 * 1000.0 * kept / (1000.0 * kept + 500.0)
+    assert max(stillness(moving, Approach())) < 0.05
+    assert stillness(still, Approach())[-1] == pytest.approx(most, rel=1e-5)
+    assert stillness(half, Approach())[-1] == pytest.approx(0.5 * most, abs=0.02)
+    # Images that move again are soon believed.
+    recovered = stillness(still + [image - 0.3 for image in moving], Approach())
+    assert recovered[-1] < 0.25 * most
+
+
+def test_a_robot_at_rest_has_no_evidence_of_stillness():
+    class Rest(Approach):
+        STEP = 0.0
+
+    image = slopes(1)
+    assert stillness([image] * 20, Rest()) == [0.0] * 19

@@ -8,10 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
-from renet.bundle import pretrained, read_manifest, write_manifest
+from renet.bundle import pretrained, read_manifest, write_bundle, write_manifest
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
 from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
+from renet.training.export import export_models
 from tests.browser import open_browser
 from tests.page.visit import DESKTOP, PHONE, Visit
 
@@ -68,6 +72,20 @@ def surprised_page(node_page: Path, tmp_path_factory) -> Path:
     thresholds = {"surprise": 0.3, "variance": 99.0, "reconstruction": 0.25}
     selector = replace(manifest.selector, thresholds=thresholds)
     write_manifest(path, replace(manifest, selector=selector))
+    return write_page(PageCfg((path,), folder / "page"))
+
+
+@pytest.fixture(scope="session")
+def still_page(node_page: Path, tmp_path_factory) -> Path:
+    """The page of untrained networks whose vision model finds images that stand still."""
+    torch.manual_seed(0)
+    cfg = ModelCfg(detector="variance", expect_image=True)
+    models = export_models(RENet(cfg, critic_size=10))
+    manifest = read_manifest(pretrained("go1-driven"))
+    thresholds = {"stillness": 0.5, "variance": 99.0, "reconstruction": 0.25}
+    selector = replace(manifest.selector, thresholds=thresholds)
+    folder = tmp_path_factory.mktemp("still")
+    path = write_bundle(folder / "b", models, replace(manifest, selector=selector))
     return write_page(PageCfg((path,), folder / "page"))
 
 

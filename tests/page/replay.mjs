@@ -42,6 +42,7 @@ for (const { state, frame: next, teleop, now } of ticks) {
     height_map: Array.from(policy.heightMap ?? []),
     anomaly: policy.anomalyScore,
     surprise: policy.surprise,
+    stillness: policy.stillness,
     probability: selector.probability,
     vision: driving !== "blind",
     reason: selector.reason,

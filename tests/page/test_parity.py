@@ -22,7 +22,8 @@ from renet.page.writer import WEB
 from tests.page.conftest import run_node
 
 COMMAND, LATENTS = ("position", "stiffness", "damping"), ("latent_op", "latent_vp", "height_map")
-NUMBERS = ("observation", "action", "anomaly", "surprise", "probability", *COMMAND, *LATENTS)
+SCORES = ("anomaly", "surprise", "stillness", "probability")
+NUMBERS = ("observation", "action", *SCORES, *COMMAND, *LATENTS)
 
 
 def record(
@@ -79,6 +80,7 @@ def decision(controller: Controller) -> dict:
         **{name: getattr(decision, name) for name in ("vision", "action", "anomaly")},
         **{name: getattr(policy, name)[0] for name in LATENTS},
         "surprise": float(policy.surprise[0]),
+        "stillness": float(policy.stillness[0]),
         "probability": decision.probability,
         "phase": str(decision.mode),
         "reason": str(selector.reason[0]),
@@ -142,6 +144,14 @@ def test_so_it_does_where_a_policy_expects_images(surprised_page, tmp_path):
     reasons = {one["reason"] for one in decided}
     assert "the image contradicts what was seen before" in reasons
     compare(surprised_page, tmp_path, "memory", given, decided)
+
+
+def test_so_it_does_where_a_vision_model_finds_images_that_stand_still(still_page, tmp_path):
+    bundle = Bundle.load(still_page / "bundles" / "0")
+    given, decided = record(bundle, "flat", "dropped:3@2s+2s", "memory", ahead)
+    scores = [one["stillness"] for one in decided if np.isfinite(one["stillness"])]
+    assert max(scores) - min(scores) > 0.1
+    compare(still_page, tmp_path, "memory", given, decided)
 
 
 def ahead(now: float) -> Velocity:

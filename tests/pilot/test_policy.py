@@ -16,7 +16,7 @@ from renet.bundle import Bundle, write_bundle
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
-from renet.models.expectation import Recollection, mean_blocks
+from renet.models.expectation import Evidence, Recollection, mean_blocks
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.pilot.policy import BundlePolicy
@@ -132,12 +132,13 @@ def test_it_leaves_on_glare_that_the_papers_rule_misses():
 
 
 @pytest.mark.parametrize(
-    ("monitor", "output"), [("variance", "variance_score"), ("surprise", "surprise")]
+    ("monitor", "output"),
+    [("variance", "variance_score"), ("surprise", "surprise"), ("stillness", "stillness")],
 )
 def test_a_threshold_without_the_output_it_judges_is_refused(
     models, manifest, tmp_path, monitor, output
 ):
-    spec = SelectorSpec(beta=0.01, thresholds={monitor: 2.0})
+    spec = SelectorSpec(beta=0.01, thresholds={monitor: 0.5})
     path = write_bundle(tmp_path / "blind", models, replace(manifest, selector=spec))
     with pytest.raises(RenetError, match=f"has no {output}: run `renet calibrate`"):
         Bundle.load(path)
@@ -219,7 +220,7 @@ def test_an_op_that_finds_no_numbers_is_told(policy, name):
     assert policy.op_lost.tolist() == [False, True, False]
 
 
-def test_surprise_is_that_of_the_training_side_whatever_is_withheld(manifest, tmp_path):
+def test_surprise_and_stillness_are_those_of_training_whatever_is_withheld(manifest, tmp_path):
     torch.manual_seed(0)
     networks = RENet(ModelCfg(detector="variance", expect_image=True), critic_size=10).eval()
     path = write_bundle(tmp_path / "expecting", export_models(networks), manifest)
@@ -227,6 +228,7 @@ def test_surprise_is_that_of_the_training_side_whatever_is_withheld(manifest, tm
     memory = EstimatorMemory(networks.cfg, 3, "cpu")
     random = np.random.default_rng(0)
     nobody = np.zeros(3, bool)
+    evidence = Evidence(torch.zeros(3), torch.zeros(3))
     ages = set()
     for step in range(300):
         observation = random.normal(size=(3, 45)).astype(np.float32)
@@ -244,14 +246,24 @@ def test_surprise_is_that_of_the_training_side_whatever_is_withheld(manifest, tm
             with torch.no_grad():
                 blocks = mean_blocks(torch.tensor(image).float())
                 expected = networks.expectation.surprise(known, blocks) * ~fresh
+                weighed = networks.expectation.weigh(known, blocks, evidence)
+            stillness = weighed.stillness * ~fresh
+            # Old images, and those of robots that expect none, are no evidence.
+            new = torch.tensor(random.random(3) < 0.7)
+            kept = [
+                torch.where(new & ~fresh, *pair) for pair in zip(weighed, evidence, strict=True)
+            ]
+            evidence = Evidence(*kept)
             ages |= set(memory.image_age.tolist())
             memory.see(torch.tensor(image), has_image)
             memory.tick(networks.advance)
-            gate = Gate(has_image.numpy(), {})
+            gate = Gate(has_image.numpy(), {}, fresh=new.numpy())
         policy.step(observation, image.astype(np.float32), nobody, gate)
         if step % 5 == 0:
             np.testing.assert_allclose(policy.surprise, expected, atol=1e-4)
+            np.testing.assert_allclose(policy.stillness, stillness, atol=1e-4)
         done = random.random(3) < 0.01
         policy.reset(done)
+        evidence = Evidence(*(part * ~torch.tensor(done) for part in evidence))
         memory.reset(torch.tensor(done))
     assert max(ages) > 0.25, "images were withheld for some ticks"

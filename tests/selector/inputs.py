@@ -17,6 +17,7 @@ def seen(robots: int = 2, **changes) -> SelectorInput:
         invalid=np.zeros(robots),
         variance_score=np.ones(robots),
         surprise=np.full(robots, 0.3),
+        stillness=np.full(robots, 0.1),
         velocity_op=np.zeros((robots, 3)),
         velocity_vp=np.zeros((robots, 3)),
     )

@@ -9,7 +9,7 @@ from renet.bundle.graph import check_graph
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
-from renet.models.expectation import Recollection, mean_blocks
+from renet.models.expectation import Evidence, Recollection, mean_blocks
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
 from renet.training.export import export_models
@@ -38,6 +38,7 @@ def test_sequence_matches_pytorch(fields):
     onnx = {name: ort.InferenceSession(data) for name, data in models.items()}
     memory = EstimatorMemory(cfg, 3, "cpu")
     latents = {name: np.zeros((3, 64), np.float32) for name in ("latent_op", "latent_vp")}
+    evidence = Evidence(torch.zeros(3), torch.zeros(3))
     for tick in range(6):
         has_image = torch.tensor([True, tick != 3, tick % 2 == 0])
         observation, image = torch.randn(3, 45), torch.rand(3, 48, 64)
@@ -85,13 +86,16 @@ def test_sequence_matches_pytorch(fields):
                 "latent_vp": known.latent.numpy(),
                 "last_image": last_image.numpy(),
                 "image_age": known.age[:, None].numpy(),
+                "evidence": torch.stack(evidence, dim=-1).numpy(),
             }
-            (got,) = onnx["vision"].run(["surprise"], feed)
+            got, still, after = onnx["vision"].run(["surprise", "stillness", "next_evidence"], feed)
             with torch.no_grad():
-                surprise = model.expectation.surprise(
-                    known, mean_blocks(memory.frames[:, 0].float())
-                )
+                blocks = mean_blocks(memory.frames[:, 0].float())
+                surprise = model.expectation.surprise(known, blocks)
+                evidence = model.expectation.weigh(known, blocks, evidence)
             np.testing.assert_allclose(got, surprise.numpy(), atol=1e-4)
+            np.testing.assert_allclose(still, evidence.stillness, atol=1e-4)
+            np.testing.assert_allclose(after, torch.stack(evidence, dim=-1), rtol=1e-3, atol=1e-3)
         got, score = onnx["vision"].run(("reconstruction", "anomaly_score"), feed)
         np.testing.assert_allclose(got, reconstruction.numpy(), atol=1e-4)
         expected = np.mean((depth - got) ** 2, axis=(1, 2, 3))

@@ -47,7 +47,9 @@ export class Policy {
   reset() {
     this.latentOp = new Float32Array(this.latent);
     this.latentVp = new Float32Array(this.latent);
-    this.anomalyScore = this.varianceScore = this.surprise = this.mapError = 0;
+    this.anomalyScore = this.varianceScore = this.surprise = this.stillness = this.mapError = 0;
+    /** Evidence of the images' motion, of a vision model with a stillness. */
+    this.evidence = new Float32Array(2);
     /** For how long images have been withheld, s; NaN before the first that VP was given. */
     this.imageAge = NaN;
     this.hasImage = true;
@@ -77,8 +79,9 @@ export class Policy {
    * One tick.
    * @param {Float32Array | null} image newest, [48 * 64] in [0, 1]; null without a camera.
    * @param {Function} gate of this policy's scores: whether VP may use the image.
+   * @param {boolean} fresh whether the image is new.
    */
-  async tick(image, gate) {
+  async tick(image, gate, fresh) {
     const unpaired = this.fresh || !this.hasImage;
     if (image) {
       this.frames.copyWithin(this.pixels, 0, this.pixels);
@@ -87,12 +90,16 @@ export class Policy {
       this.fresh = false;
     }
     const depth = tensor(this.frames, ...this.framesShape);
-    this.anomalyScore = this.varianceScore = this.surprise = Infinity;
+    this.anomalyScore = this.varianceScore = this.surprise = this.stillness = Infinity;
     if (image) {
       const seen = await this.sessions.vision.run({ depth, ...this.recollection });
       this.anomalyScore = seen.anomaly_score.data[0];
       this.varianceScore = seen.variance_score?.data[0] ?? 0;
-      this.surprise = Number.isNaN(this.imageAge) ? 0 : (seen.surprise?.data[0] ?? 0);
+      const ignorant = Number.isNaN(this.imageAge);
+      this.surprise = ignorant ? 0 : (seen.surprise?.data[0] ?? 0);
+      this.stillness = ignorant ? 0 : (seen.stillness?.data[0] ?? 0);
+      // An old image stands still whatever the robot does.
+      if (fresh && !ignorant && seen.next_evidence) this.evidence = seen.next_evidence.data;
       this.reconstruction = seen.reconstruction.data;
     }
     const estimates = await this.sessions.estimator.run({
@@ -106,13 +113,16 @@ export class Policy {
 
   /** What the robot knows before an image arrives, if the vision model asks for it. */
   get recollection() {
-    if (!this.sessions.vision.inputNames.includes("image_age")) return {};
+    const { inputNames } = this.sessions.vision;
+    if (!inputNames.includes("image_age")) return {};
     const [, rows, columns] = this.framesShape;
+    const evidence = inputNames.includes("evidence") && { evidence: tensor(this.evidence, 2) };
     return {
       proprioception_history: tensor(this.history, this.manifest.history, this.size),
       latent_vp: this.latents.latent_vp,
       last_image: tensor(this.accepted.slice(0, this.pixels), rows, columns),
       image_age: tensor([this.imageAge || 0], 1),
+      ...evidence,
     };
   }
 

@@ -7,6 +7,7 @@ const SCORES = {
   reconstruction: () => (seen) => seen.anomalyScore,
   variance: () => (seen) => seen.varianceScore,
   surprise: () => (seen) => seen.surprise,
+  stillness: () => (seen) => seen.stillness,
   frame_age: () => (seen) => seen.age,
   invalid_fraction: () => (seen) => seen.invalid,
   disagreement: () => (seen) => Math.hypot(...seen.velocityOp.map((v, i) => v - seen.velocityVp[i])),
@@ -145,7 +146,7 @@ export class Selector {
 
   /**
    * Take what is known of vision at one moment.
-   * @param {object} seen anomalyScore, varianceScore, surprise, image (a new array whenever one arrives), fresh,
+   * @param {object} seen anomalyScore, varianceScore, surprise, stillness, image (a new array whenever one arrives), fresh,
    *   age, invalid, velocityOp, velocityVp, hasImage, mapError.
    * @param {number} now seconds.
    * @returns {boolean} whether to use vision.

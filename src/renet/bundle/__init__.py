@@ -21,6 +21,7 @@ from renet.bundle.models import (
     HAS_IMAGE,
     MAP_ERROR,
     MODELS,
+    STILLNESS,
     SURPRISE,
     VARIANCE,
     read_model,
@@ -82,6 +83,7 @@ class Bundle:
         needed = {
             "variance": ("vision", VARIANCE),
             "surprise": ("vision", SURPRISE),
+            "stillness": ("vision", STILLNESS),
             "map_error": ("estimator", MAP_ERROR),
         }
         for name, (model, output) in needed.items():

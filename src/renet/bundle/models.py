@@ -40,6 +40,9 @@ VARIANCE = "variance_score"
 """Output [N] of vision models that predict the variance of their own error."""
 SURPRISE = "surprise"
 """Output [N] of vision models that expect the next image: how much it contradicts that."""
+STILLNESS = "stillness"
+"""Output [N] of vision models that expect the next image: the share of the change that the robot's
+motion should have brought to the last images, and which they lack."""
 MAP_ERROR = "map_error"
 """Output [N] of estimators that predict the error of their height map ahead, m."""
 HAS_IMAGE = "has_image"
@@ -87,6 +90,31 @@ def recollection_shapes(history: int) -> dict[str, tuple[int, ...]]:
         "last_image": DEPTH_SHAPE,
         "image_age": (1,),
     }
+
+
+def evidence_shapes() -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
+    """Return the other inputs and outputs of vision models with an output `STILLNESS`.
+
+    They are the evidence of earlier images, and that with the newest one (see
+    `models.expectation.Evidence`).
+    """
+    return {"evidence": (2,)}, {"next_evidence": (2,)}
+
+
+def known_shapes(vision: Session, history: int) -> dict[str, tuple[int, ...]]:
+    """Return the inputs of a vision model beside the images, by name.
+
+    Args:
+        vision: The model.
+        history: Number of proprioceptions that the estimator sees.
+    """
+    outputs = {node.name for node in vision.get_outputs()}
+    inputs = {}
+    if SURPRISE in outputs:
+        inputs |= recollection_shapes(history)
+    if STILLNESS in outputs:
+        inputs |= evidence_shapes()[0]
+    return inputs
 
 
 def read_model(path: Path, sha256: str | None) -> bytes:
@@ -151,9 +179,11 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     if name == "estimator" and remembers(model):
         inputs = inputs | {HAS_IMAGE: (1,)}
     names = [node.name for node in model.get_outputs()]
-    if name == "vision" and SURPRISE in names:
-        inputs = inputs | recollection_shapes(history)
-    for optional in (VARIANCE, SURPRISE, MAP_ERROR):
+    if name == "vision":
+        inputs = inputs | known_shapes(model, history)
+        if STILLNESS in names:
+            outputs = outputs | evidence_shapes()[1]
+    for optional in (VARIANCE, SURPRISE, STILLNESS, MAP_ERROR):
         if optional in names:
             outputs = outputs | {optional: ()}
     return _input_problem(model, name, inputs) or _run_problem(model, name, inputs, outputs)

@@ -76,6 +76,8 @@ class Decision:
     """Error of the newest images over its predicted variance; zero where none is predicted."""
     surprise: float
     """Contradiction between the newest images and what was expected; zero where none is."""
+    stillness: float
+    """Share of the expected change that the last images lack; zero where none is expected."""
     frame_age: float
     """Seconds since the newest good frame was taken."""
     action: np.ndarray
@@ -317,6 +319,7 @@ class Controller:
             anomaly=float(policy.anomaly_score[0]),
             variance=float(policy.variance_score[0]),
             surprise=float(policy.surprise[0]),
+            stillness=float(policy.stillness[0]),
             frame_age=self._buffer.age(now),
             action=self._action if walking else np.zeros(ACTION_SIZE),
             latent=latent if walking else np.zeros(LATENT),

@@ -2,7 +2,8 @@
 
 An autoencoder knows what images look like, but not what the next image should show. An image that
 is turned, of a wrong scale or washed over by stray light may look like any other, and contradicts
-what the robot has just seen.
+what the robot has just seen. Images that stand still in part, or trail behind, contradict it a
+little at each step, and are told by all steps of half a second together.
 """
 
 from typing import NamedTuple
@@ -30,6 +31,16 @@ FIRST_BLOCK_LOG_VARIANCE = -5.0
 """Log variance of a block's error before training: 16 cm of 2 m."""
 BLOCK_LOG_VARIANCE = (-8.0, -3.0)
 """Smallest and largest predicted log variance of a block's error; depths are in [0, 1]."""
+LARGEST_ERROR = 3.0
+"""Error of a block, in standard deviations, above which it counts as that large: an edge that comes
+into view says little of how the rest of the image moves."""
+LARGEST_CHANGE = 1000.0
+"""Change of an image above which it counts as that large, so that few images outweigh all others;
+in the units of `Evidence.expected`. A walking robot's median is 230."""
+KEPT = 0.8
+"""Share of the evidence that is kept when an image arrives: it spans about five images."""
+STANDING = 500.0
+"""Change that is added to that expected, so that a robot at rest has no evidence."""
 
 
 class Recollection(NamedTuple):
@@ -43,6 +54,24 @@ class Recollection(NamedTuple):
     """Blocks of the last image that VP was given, [N, 192] (see `mean_blocks`)."""
     age: Tensor
     """Time for which images have been withheld since then, [N] s."""
+
+
+class Evidence(NamedTuple):
+    """How much the last images of N robots should have changed, and what was lacking.
+
+    Both are sums over blocks of squared depths, each divided by the expected variance of the error.
+    """
+
+    expected: Tensor
+    """Sum of the expected changes' squares, [N]."""
+    lacking: Tensor
+    """Sum of the expected changes times what the images lack of them, [N]."""
+
+    @property
+    def stillness(self) -> Tensor:
+        """Share of the expected change that is lacking, [N]: 0 if images move as the robot does,
+        almost 1 if they stand still."""
+        return self.lacking / (self.expected + STANDING)
 
 
 def mean_blocks(image: Tensor) -> Tensor:
@@ -98,6 +127,27 @@ class ImageExpectation(nn.Module):
         expected, log_variance = self(known)
         unlikeliness = _unlikeliness(blocks, expected, log_variance)
         return (0.5 * (FREEDOM + 1.0) * unlikeliness + 0.5 * log_variance).mean(dim=-1)
+
+    def weigh(self, known: Recollection, blocks: Tensor, evidence: Evidence) -> Evidence:
+        """Add new images to the evidence of earlier ones.
+
+        Args:
+            known: What the robots know.
+            blocks: Blocks of the images, [N, 192].
+            evidence: Evidence of the images before.
+        """
+        expected_blocks, log_variance = self(known)
+        change = expected_blocks - known.blocks
+        deviation = (0.5 * log_variance).exp()
+        error = ((expected_blocks - blocks) / deviation).clamp(-LARGEST_ERROR, LARGEST_ERROR)
+        change = change / deviation
+        expected = change.square().sum(dim=-1)
+        lacking = (change * error).sum(dim=-1)
+        weight = LARGEST_CHANGE / expected.clamp_min(LARGEST_CHANGE)
+        return Evidence(
+            KEPT * evidence.expected + weight * expected,
+            KEPT * evidence.lacking + weight * lacking,
+        )
 
     def surprise(self, known: Recollection, blocks: Tensor) -> Tensor:
         """Score images by how much they contradict what was expected, [N]; about 0.3 if healthy.

@@ -68,6 +68,7 @@ OUTPUTS = {
     "anomaly_score": "anomalyScore",
     "variance_score": "varianceScore",
     "surprise": "surprise",
+    "stillness": "stillness",
 }
 """Outputs of the vision model that monitors judge, and what the page's policy calls them."""
 PROFILE = 0.01

@@ -357,6 +357,7 @@ class Pilot:
             velocity_vp=getattr(policy, "velocity_vp", still),
             variance_score=getattr(policy, "variance_score", zero),
             surprise=getattr(policy, "surprise", zero),
+            stillness=getattr(policy, "stillness", zero),
             has_image=getattr(policy, "has_image", zero == 0.0),
             map_error=getattr(policy, "map_error", zero),
         )

@@ -35,9 +35,10 @@ class Policy(Protocol):
     """Interface of policies that a pilot can drive robots with, such as `BundlePolicy`.
 
     Other attributes are optional. Monitors compare `velocity_op` and `velocity_vp` ([N, 3] m/s),
-    and judge `variance_score` and `surprise` ([N] each) and `map_error` ([N] m). A policy with
-    `has_image` ([N] bool) can walk without an image, and its `step` also takes a `gate`. A policy
-    with `retire(mask)` need not act for robots whose trial is over, until all are reset.
+    and judge `variance_score`, `surprise` and `stillness` ([N] each) and `map_error` ([N] m). A
+    policy with `has_image` ([N] bool) can walk without an image, and its `step` also takes a
+    `gate`. A policy with `retire(mask)` need not act for robots whose trial is over, until all are
+    reset.
     """
 
     anomaly_score: np.ndarray
@@ -111,6 +112,11 @@ class BundlePolicy:
         self.surprise = np.zeros(n, np.float32)
         """Contradiction between the newest images and what was expected, [N]; infinite without a
         camera, and otherwise zero if the model expects no images."""
+        self.stillness = np.zeros(n, np.float32)
+        """Share of the expected change that the last images lack, [N]; infinite without a camera,
+        and otherwise zero if the model expects no images."""
+        self.evidence = np.zeros((n, 2), np.float32)
+        """Evidence of the images' motion, [N, 2] (see `bundle.models.evidence_shapes`)."""
         self.image_age = np.full(n, np.nan)
         """Time for which images have been withheld, [N] s; NaN where VP was never given one."""
         self.vp_lost = np.zeros(n, bool)
@@ -140,7 +146,7 @@ class BundlePolicy:
             self._driven = None
             self.fallback = False
         rows = slice(None) if mask is None else np.asarray(mask, bool)
-        for name in ("latent_op", "latent_vp", MAP_ERROR, *SCORES):
+        for name in ("latent_op", "latent_vp", MAP_ERROR, "evidence", *SCORES):
             # Into a copy, because a tick on another thread may still read the old array.
             value = getattr(self, name).copy()
             value[rows] = 0.0
@@ -252,6 +258,7 @@ class BundlePolicy:
             accepted=self.accepted,
             unpaired=unpaired,
             image_age=self.image_age,
+            evidence=self.evidence,
             gate=gate,
             blind=depth is None,
         )

@@ -6,7 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from renet.bundle.blocks import Session
-from renet.bundle.models import HAS_IMAGE, MAP_ERROR, SURPRISE, recollection_shapes, remembers
+from renet.bundle.models import (
+    HAS_IMAGE,
+    MAP_ERROR,
+    STILLNESS,
+    SURPRISE,
+    known_shapes,
+    remembers,
+)
 from renet.selector.monitors import Gate
 
 Sessions = Mapping[str, Session]
@@ -15,7 +22,7 @@ EstimatorOutput = dict[str, np.ndarray]
 """Results of a tick, by the names of `BundlePolicy`'s attributes that they replace."""
 
 ESTIMATES = ("latent_op", "latent_vp", "velocity_op", "velocity_vp", "feet_height", "height_map")
-SCORES = ("anomaly_score", "variance_score", SURPRISE)
+SCORES = ("anomaly_score", "variance_score", SURPRISE, STILLNESS)
 OF_VP = ("latent_vp", "velocity_vp", "height_map", MAP_ERROR)
 """Results of VP that must be finite for VP to drive."""
 OF_OP = ("latent_op", "velocity_op")
@@ -38,6 +45,8 @@ class EstimatorInput(NamedTuple):
     """True where VP had no image a tick ago, so that the next image takes both places, [N] bool."""
     image_age: np.ndarray
     """Time for which images have been withheld, [N] s; NaN where VP was never given one."""
+    evidence: np.ndarray
+    """Evidence of the images before, [N, 2] (see `bundle.models.evidence_shapes`)."""
     gate: Gate | None
     """Gate that withholds images from VP; None withholds none."""
     blind: bool
@@ -51,6 +60,7 @@ class EstimatorInput(NamedTuple):
             self.accepted[rows],
             self.unpaired[rows],
             self.image_age[rows],
+            self.evidence[rows],
             None if self.gate is None else self.gate.of(rows),
             self.blind,
         )
@@ -81,26 +91,38 @@ def _see(vision: Session, inputs: EstimatorInput) -> EstimatorOutput:
         return {name: np.full(robots, np.inf, np.float32) for name in SCORES}
     # A model without a score leaves it at zero.
     result = {name: np.zeros(robots, np.float32) for name in SCORES}
-    names = [output.name for output in vision.get_outputs() if output.name in SEEN]
-    feed = {"depth": inputs.depth}
-    if SURPRISE in names:
-        feed |= _recollection(inputs)
-    found: Any = vision.run(names, feed)
+    outputs = [output.name for output in vision.get_outputs()]
+    names = [name for name in outputs if name in SEEN]
+    if STILLNESS in outputs:
+        names.append("next_evidence")
+    found: Any = vision.run(names, {"depth": inputs.depth} | _known(vision, inputs))
     result |= dict(zip(names, found, strict=True))
-    # Who was never given an image expects none.
-    result[SURPRISE] = np.where(np.isnan(inputs.image_age), 0.0, result[SURPRISE].reshape(-1))
     for name in SCORES:
         result[name] = result[name].reshape(-1)
+    # Who was never given an image expects none.
+    ignorant = np.isnan(inputs.image_age)
+    for name in (SURPRISE, STILLNESS):
+        result[name] = np.where(ignorant, 0.0, result[name])
+    if STILLNESS in outputs:
+        # An old image stands still whatever the robot does.
+        fresh = True if inputs.gate is None else inputs.gate.fresh
+        weighed = (fresh & ~ignorant)[:, None]
+        result["evidence"] = np.where(weighed, result.pop("next_evidence"), inputs.evidence)
     return result
 
 
-def _recollection(inputs: EstimatorInput) -> dict[str, np.ndarray]:
+def _known(vision: Session, inputs: EstimatorInput) -> dict[str, np.ndarray]:
     """Return what the robots know before the image, by the vision model's names of inputs."""
     history = inputs.feed["proprioception_history"]
     age = np.nan_to_num(inputs.image_age)
-    image_age = age[:, None].astype(np.float32)
-    values = (history, inputs.feed["latent_vp"], inputs.accepted[:, 0], image_age)
-    return dict(zip(recollection_shapes(history.shape[1]), values, strict=True))
+    known = {
+        "proprioception_history": history,
+        "latent_vp": inputs.feed["latent_vp"],
+        "last_image": inputs.accepted[:, 0],
+        "image_age": age[:, None].astype(np.float32),
+        "evidence": inputs.evidence,
+    }
+    return {name: known[name] for name in known_shapes(vision, history.shape[1])}
 
 
 def _withhold(inputs: EstimatorInput, scores: EstimatorOutput) -> EstimatorOutput:

@@ -55,6 +55,9 @@ class SelectorInput:
     surprise: np.ndarray = field(default_factory=_absent)
     """Contradiction between the newest images and what was expected, [N]; zero if the model expects
     no images."""
+    stillness: np.ndarray = field(default_factory=_absent)
+    """Share of the expected change that the last images lack, [N]; zero if the model expects no
+    images."""
     has_image: np.ndarray = field(default_factory=_absent)
     """True where VP's newest tick had an image, [N] bool."""
     map_error: np.ndarray = field(default_factory=_absent)
@@ -72,11 +75,14 @@ class Gate:
     """Smallest score to object to, by name of the vision model's output."""
     robots: np.ndarray | bool = True
     """True for robots whose images the gate withholds, [N] bool; others use all images."""
+    fresh: np.ndarray | bool = True
+    """True for images that are new, [N] bool."""
 
     def of(self, rows: np.ndarray) -> Gate:
         """Return the gate of some robots, given by their rows."""
         robots = self.robots[rows] if isinstance(self.robots, np.ndarray) else self.robots
-        return replace(self, acceptable=self.acceptable[rows], robots=robots)
+        fresh = self.fresh[rows] if isinstance(self.fresh, np.ndarray) else self.fresh
+        return replace(self, acceptable=self.acceptable[rows], fresh=fresh, robots=robots)
 
     def judge(self, scores: Mapping[str, np.ndarray]) -> np.ndarray:
         """Return a mask of images that VP may use, [N] bool, given scores [N] by output."""
@@ -264,6 +270,14 @@ MONITORS = {
         limit=8.0,
         in_a_row=2,
         output="surprise",
+    ),
+    # Images that stand still in part or trail behind. The limit is below the score of images that
+    # do not move at all.
+    "stillness": Monitor(
+        "the image does not move with the robot",
+        lambda seen, images: seen.stillness,
+        limit=0.9,
+        output="stillness",
     ),
     "disagreement": Monitor(
         "the estimators disagree on velocity", _disagreement, limit=3.0, of_image=False

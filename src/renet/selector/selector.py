@@ -203,7 +203,8 @@ class MonitorSelector:
         self._is_new = seen.fresh
         # VP must not use an image twice.
         acceptable = seen.fresh & (self._steady >= STEADY)
-        return Gate(acceptable & np.logical_and.reduce(verdicts), self._limits)
+        acceptable &= np.logical_and.reduce(verdicts)
+        return Gate(acceptable, self._limits, fresh=seen.fresh)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """Judge vision at one time, and decide who drives.

@@ -17,8 +17,10 @@ from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpe
 from renet.bundle.models import (
     HAS_IMAGE,
     MAP_ERROR,
+    STILLNESS,
     SURPRISE,
     VARIANCE,
+    evidence_shapes,
     model_shapes,
     recollection_shapes,
 )
@@ -34,7 +36,7 @@ from renet.interface import (
 from renet.models.adaptation import fuse
 from renet.models.autoencoder import anomaly_score, variance_score
 from renet.models.config import ModelCfg
-from renet.models.expectation import Recollection, mean_blocks
+from renet.models.expectation import Evidence, Recollection, mean_blocks
 from renet.models.renet import RENet
 from renet.options import ExportCfg
 from renet.robots import GO1, Robot
@@ -226,17 +228,22 @@ class VisionGraph(nn.Module):
     def forward(self, depth: Tensor, *known: Tensor) -> tuple[Tensor, ...]:
         """Compute the reconstruction [N, 2, 48, 64], Loss_ad [N], and other scores, [N] each.
 
-        The variance score is an output of the variance detector alone, and the surprise of models
-        with an expectation. These also take `bundle.models.recollection_shapes`.
+        The variance score is an output of the variance detector alone. Models with an expectation
+        also take `bundle.models.recollection_shapes` and `evidence_shapes`, and give the surprise,
+        the stillness and the next evidence.
         """
         reconstruction, log_variance = self.autoencoder.predict(depth)
         outputs = [reconstruction, anomaly_score(depth, reconstruction)]
         if log_variance is not None:
             outputs.append(variance_score(depth, reconstruction, log_variance))
         if self.expectation is not None:
-            history, latent, last_image, age = known
+            history, latent, last_image, age, evidence = known
             recollection = Recollection(latent, history, mean_blocks(last_image), age[:, 0])
-            outputs.append(self.expectation.surprise(recollection, mean_blocks(depth[:, 0])))
+            blocks = mean_blocks(depth[:, 0])
+            before = Evidence(evidence[:, 0], evidence[:, 1])
+            after = self.expectation.weigh(recollection, blocks, before)
+            outputs.append(self.expectation.surprise(recollection, blocks))
+            outputs += [after.stillness, torch.stack(after, dim=-1)]
         return tuple(outputs)
 
 
@@ -255,8 +262,12 @@ def export_models(model: RENet) -> dict[str, bytes]:
     if model.cfg.detector == "variance":
         shapes["vision"][1][VARIANCE] = ()
     if model.expectation is not None:
-        shapes["vision"][0].update(recollection_shapes(model.cfg.history))
-        shapes["vision"][1][SURPRISE] = ()
+        inputs, outputs = shapes["vision"]
+        inputs.update(recollection_shapes(model.cfg.history))
+        outputs.update({SURPRISE: (), STILLNESS: ()})
+        evidence_inputs, evidence_outputs = evidence_shapes()
+        inputs.update(evidence_inputs)
+        outputs.update(evidence_outputs)
     if model.vp.map_error_head is not None:
         shapes["estimator"][1][MAP_ERROR] = ()
     graphs = {"actor": ActorGraph, "estimator": EstimatorGraph, "vision": VisionGraph}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from renet.bundle import Bundle
-from renet.bundle.models import SURPRISE, recollection_shapes
+from renet.bundle.models import known_shapes
 from renet.camera import Intrinsics
 from renet.deploy.cameras.floor_view import view_problem
 from renet.deploy.cameras.preprocess import DepthPreprocessor
@@ -18,7 +18,8 @@ from renet.interface import DEPTH_SHAPE, TICK_DT
 from renet.selector.monitors import MONITORS, Scorer, SelectorInput
 
 _IMAGE_MONITORS = [name for name, monitor in MONITORS.items() if monitor.of_image]
-OF_IMAGES = tuple(name for name in _IMAGE_MONITORS if name not in ("frame_age", "surprise"))
+_OF_MOTION = ("frame_age", "surprise", "stillness")
+OF_IMAGES = tuple(name for name in _IMAGE_MONITORS if name not in _OF_MOTION)
 """Monitors that judge images alone; files tell neither their ages nor how the robot moved."""
 _MAX_BYTES = 16 * MEGABYTE
 """Largest size of an image file, bytes."""
@@ -63,9 +64,8 @@ def image_scores(
     names = [name for name in ("anomaly_score", "variance_score") if name in outputs]
     # Inputs that the scores of images alone do not depend on.
     unknown: dict[str, np.ndarray] = {}
-    if SURPRISE in outputs:
-        for name, shape in recollection_shapes(bundle.manifest.history).items():
-            unknown[name] = np.zeros((1, *shape), np.float32)
+    for name, shape in known_shapes(vision, bundle.manifest.history).items():
+        unknown[name] = np.zeros((1, *shape), np.float32)
     preprocessor: DepthPreprocessor | None = None
     newest = np.zeros(0)
     rows = []

@@ -112,6 +112,7 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
             anomaly_score=tick["anomaly"][None],
             variance_score=tick["variance"][None],
             surprise=tick["surprise"][None],
+            stillness=tick["stillness"][None],
             image=image,
             fresh=np.array([fresh]),
             age=tick["frame_age"][None],

@@ -32,6 +32,7 @@ def ratios(run: Recording) -> dict[str, np.ndarray]:
         "variance": ticks["variance"],
         "reconstruction": ticks["anomaly"],
         "surprise": ticks["surprise"],
+        "stillness": ticks["stillness"],
         "disagreement": np.linalg.norm(apart, axis=1),
         "map_error": ticks["map_error"],
     }

@@ -60,6 +60,7 @@ TICK_FIELDS = (
     Field("float32", "anomaly", 0, "reconstruction loss of the newest images"),
     Field("float32", "variance", 0, "their error over its predicted variance"),
     Field("float32", "surprise", 0, "their contradiction to the images before"),
+    Field("float32", "stillness", 0, "share of the expected change that they lack"),
     Field("float32", "frame_age", 0, "age of the newest good frame, s"),
     Field("float32", "action", ACTION_SIZE, "policy units"),
     Field("float32", "latent", LATENT, "latent that drove this tick"),
