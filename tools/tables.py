@@ -246,7 +246,7 @@ def driven_over(label: str) -> list[str]:
     passed = {}
     for run in runs_of(f"driving/{file}"):
         passed[run["kind"], run["level"]] = str(run["passed"])
-    columns = [("gap", 8), ("gap", 10), ("platform", 6), ("platform", 8), ("platform", 10)]
+    columns = [("gap", 8), ("gap", 10), ("platform", 8), ("platform", 10)]
     columns += [("stairs_up", 7), ("stairs_up", 10), ("stairs_down", 10)]
     return [passed[column] for column in columns]
 
@@ -332,11 +332,11 @@ def leaderboard() -> list[list[str]]:
     """The rows of the fault benchmark's leaderboard, best first."""
     files = [RESULTS / "benchmark" / "full" / f"{name}.json" for name in LEADERBOARD]
     rows = []
-    for place, policy, entry, robot, score, interval, _, behind in ranking(
+    for _, policy, entry, robot, score, interval, _, behind in ranking(
         [read_result(file) for file in files]
     )[2]:
         of = robot.removeprefix("Unitree ")
-        rows.append([place, policy, entry, of, f"{score} ({interval})", behind.replace("-", "−")])
+        rows.append([policy, entry, of, f"{score} ({interval})", behind.replace("-", "−")])
     return rows
 
 
