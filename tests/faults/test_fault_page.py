@@ -26,7 +26,7 @@ def test_page_and_study_name_the_same_measures_grounds_and_onsets() -> None:
 
     measured = robot_measures(Trace.empty(5, 1), 1, 0.6, 5)
     assert named("| name | unit | of one robot |") == {*measured}
-    assert named("| ground | level | why |") == {*fault_settings.FAULT_GROUNDS}
+    assert named("| ground | level | what vision is for |") == {*fault_settings.FAULT_GROUNDS}
     assert named("| name | onset |") == {*fault_settings.ONSETS.values()}
 
 

@@ -18,7 +18,7 @@ SINKHORN_ITERATIONS = 3
 TEMPERATURE = 0.1
 """Temperature of predicted assignments, SwAV's (Caron et al. 2020). At HIMLoco's 3.0 the loss of 32
 separated prototypes (3.13) is hardly below that of two antipodal heaps of them (3.19), and the
-prototypes collapse; see docs/notes.md."""
+prototypes collapse; see benchmarks/NOTES.md."""
 PROTOTYPES = 32
 """Number of prototypes."""
 VIEW = 16

@@ -1,7 +1,7 @@
 """The recipe: departures from the paper's task and agent, and the reason for each.
 
 The paper trains for 1.5 billion steps; this recipe is for 230 million. Settings that change during
-training do so over five phases, `PHASES`, which docs/train.md has in one table.
+training do so over five phases, `PHASES`; benchmarks/NOTES.md has all values in one table.
 docs/how_it_works.md explains what recipe and paper share.
 """
 
