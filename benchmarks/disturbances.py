@@ -20,7 +20,7 @@ from renet.deploy.robots.go1.link import Go1Link
 from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED
 from renet.errors import RenetError
 from renet.faults import FAULTS, Injection
-from renet.interface import ACTION_SIZE, CONTROL_DT
+from renet.interface import ACTION_SIZE, CONTROL_DT, control_steps
 from vendor_go1 import COLD, Wire
 
 EXCHANGE = 0.01
@@ -358,7 +358,7 @@ class ShakyCamera:
         robot.given.append((now, fault))
         gap = random.uniform(2.0, 8.0)
         lasts = random.uniform(0.5, 8.0)
-        injection = Injection.of(fault, severity, round(gap / CONTROL_DT), lasts)
+        injection = Injection.of(fault, severity, control_steps(gap), lasts)
         seed = int(random.integers(2**31))
         self._over = now + gap + lasts
         self._faulty = FaultyCamera(self._camera, [injection], robot.now, seed)

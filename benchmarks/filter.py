@@ -20,13 +20,13 @@ import tyro
 from facts import errors_in_one_line
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
-from renet.evaluation.env import FLAT_GROUND
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.monitor_log import replay_selector
-from renet.evaluation.rollout import Trial, check_speed
+from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import FLAT_GROUND, check_speed
 from renet.evaluation.study import Figures, Part, Study, Table
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, PHYSICS_DT
+from renet.interface import PHYSICS_DT, control_steps
 from renet.selector import SelectorSpec, make_selector
 from renet.selector.filter import filter_delay
 
@@ -81,13 +81,13 @@ class FilterStudy(Study):
         return {"scores": partial(self._walk, evaluator)}
 
     def _walk(self, evaluator: Evaluator) -> Part:
-        onset = round(self.onset / CONTROL_DT)
+        onset = control_steps(self.onset)
         steady = (Injection("gaussian", 1.0, onset),)
         flicker = (Injection("gaussian", 1.0, onset, duration=0.1, period=0.4),)
         robots = range(self.robots_each)
         trials = [Trial("blind", fault, robot) for fault in (steady, flicker) for robot in robots]
         env = evaluator.make_env(FLAT_GROUND, [*robots, *robots], self.speed, self.seed)
-        steps = round(self.seconds / CONTROL_DT)
+        steps = control_steps(self.seconds)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{len(trials)} robots walk")
         return {"scores": trace.anomaly}
 
@@ -104,7 +104,7 @@ class FilterStudy(Study):
 
     def _run(self, scores: np.ndarray, spec: SelectorSpec) -> dict[str, Any]:
         """Delay on the cameras that fail, switches on those that flicker."""
-        onset, each = round(self.onset / CONTROL_DT), self.robots_each
+        onset, each = control_steps(self.onset), self.robots_each
         trusted = replay_selector(make_selector("switch", spec, scores.shape[1]), scores)
         delay = metrics.switch_delay(trusted[:, :, :each], onset)
         updates = trusted[onset - 1 :, :, each:].reshape(-1, each)

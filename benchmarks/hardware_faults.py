@@ -32,7 +32,7 @@ from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.deploy.teleop import TeleopCommand
-from renet.interface import CONTROL_DT, JOINTS, Terrain
+from renet.interface import CONTROL_DT, JOINTS, Terrain, control_steps
 from renet.motor_models import IDEAL, find_motors
 from renet.robots import find_robot
 
@@ -220,10 +220,10 @@ def walk(cfg: Cfg, fault: Fault | None, seed: int, terrain: str, seconds: float)
         wait(until)
 
     def steer(now: float) -> TeleopCommand:
-        if round(now / CONTROL_DT) % 200 == 60:
+        if control_steps(now) % 200 == 60:
             asked[0] = float(random.choice((0.3, 0.6, 1.0) if fault else (0.0, 0.3, 0.6, 1.0)))
             asked[1] = 0.0 if fault else float(random.choice((0.0, 0.0, 0.5, -0.8)))
-        return TeleopCommand(arm=round(now / CONTROL_DT) == 1, forward=asked[0], turn_rate=asked[1])
+        return TeleopCommand(arm=control_steps(now) == 1, forward=asked[0], turn_rate=asked[1])
 
     def note(command, state) -> None:
         turn_rate = robot.data.qvel[robot._motion][5]
@@ -274,7 +274,7 @@ def harm(path: np.ndarray, since: float, until: float) -> float | None:
     """
     walked = path[(path[:, 0] >= since) & (path[:, 0] <= until)]
     fell = walked[walked[:, 1] < FALLEN, 0]
-    window = round(1.0 / CONTROL_DT)
+    window = control_steps(1.0)
     astray = walked[:, 2:4] - walked[:, 4:6]
     runs = np.array([])
     if len(walked) >= window:

@@ -25,8 +25,9 @@ from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.metrics import bootstrap_interval
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
-from renet.evaluation.rollout import PARKOUR, Trial
-from renet.interface import CONTROL_DT, TICK_DT
+from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import PARKOUR
+from renet.interface import TICK_DT, control_steps
 from renet.selector.calibration import decluster, lowest_in_a_row
 from renet.selector.monitors import MONITORS, Monitor
 from renet.tasks.parkour_env_cfg import parkour_env_cfg
@@ -143,7 +144,7 @@ def walk_healthy(bundle: Path, cfg: Cfg) -> dict[str, list[np.ndarray]]:
     trials = [Trial("memory", (), int(robot)) for robot in robots]
     rollout = evaluator.rollout(env, trials, cfg.seed)
     rollout.on_update = log = MonitorLog(cfg.healthy_robots)
-    trace = rollout.run(round(cfg.seconds / CONTROL_DT), PARKOUR)
+    trace = rollout.run(control_steps(cfg.seconds), PARKOUR)
     return healthy_series(log, trace, cfg.speed)
 
 

@@ -41,7 +41,7 @@ from renet.deploy.robots.base import heading
 from renet.deploy.safety.limits import limited_velocity
 from renet.deploy.steering import STEERINGS
 from renet.deploy.teleop import TeleopCommand
-from renet.evaluation.adapters.order import LEFT_FIRST
+from renet.evaluation.adapters.base import LEFT_FIRST
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 
 MANIFEST = read_manifest(pretrained("go2-parkour"))

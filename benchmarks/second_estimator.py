@@ -26,10 +26,10 @@ from renet.bundle import find_bundle
 from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial, robot_numbers
-from renet.evaluation.studies.one_try import NEAREST
+from renet.evaluation.studies.grounds import NEAREST
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, control_steps
 from renet.selector.monitors import MONITORS
 from renet.selector.selector import MonitorSelector
 
@@ -88,7 +88,7 @@ def schedules(speed: float) -> dict[str, tuple[Injection, ...]]:
         speed: commanded speed, m/s.
     """
     edge = NEAREST / speed
-    onset = round((edge - 0.5) / CONTROL_DT)
+    onset = control_steps(edge - 0.5)
     cameras: dict[str, tuple[Injection, ...]] = {HEALTHY: ()}
     for fault in FAULTS:
         cameras[fault] = (Injection.of(fault, 5, onset),)
@@ -111,13 +111,13 @@ def walk(evaluator: Evaluator, mode: str, cfg: Cfg) -> dict[str, Any]:
     env = evaluator.make_env(cfg.levels, robot_numbers(trials), cfg.speed, cfg.seed)
     env.place_on([trial.ground for trial in trials])
     rollout = evaluator.rollout(env, trials, cfg.seed)
-    steps = round(SECONDS / CONTROL_DT)
+    steps = control_steps(SECONDS)
     trace = rollout.run(steps, f"{evaluator.bundle.name} {mode}", until_ended=1, retire=True)
     groups = dict(zip(cameras, trace.groups(len(cfg.levels) * cfg.robots), strict=True))
     crossed = {}
     for camera, group in groups.items():
         crossed[camera] = float(group.first_try()[0].mean())
-    beyond = cameras["blackout"][0].onset + round(REMEMBERED / CONTROL_DT)
+    beyond = cameras["blackout"][0].onset + control_steps(REMEMBERED)
     return {
         "crossed": crossed,
         "falls_per_minute": falls_per_minute(groups["blackout"], beyond),

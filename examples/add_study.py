@@ -9,10 +9,10 @@ import matplotlib.pyplot as plt
 
 from renet.cli import COMMANDS, Command, main
 from renet.evaluation import metrics
-from renet.evaluation.env import FLAT_GROUND
 from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import FLAT_GROUND
 from renet.evaluation.study import Study
-from renet.interface import CONTROL_DT
+from renet.interface import control_steps
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class SpeedStudy(Study):
     def walk(self, evaluator, speed):
         env = evaluator.make_env(FLAT_GROUND, range(self.robots), speed, self.seed)
         trials = [Trial("memory", robot=robot) for robot in range(self.robots)]
-        steps = round(self.seconds / CONTROL_DT)
+        steps = control_steps(self.seconds)
         trace = evaluator.rollout(env, trials, self.seed).run(steps, f"{speed:g} m/s")
         walked = trace.speed[len(trace.speed) // 2 :].mean(axis=0)
         row = {"commanded": speed, "robots": self.robots, "falls": int(trace.fell.sum())}

@@ -12,8 +12,8 @@ import onnxruntime as ort
 import tyro
 
 from renet.errors import RenetError, reason
+from renet.evaluation.adapters.models import demand_shapes
 from renet.evaluation.evaluator import Evaluator, Provenance
-from renet.evaluation.rollout import demand_shapes
 from renet.evaluation.studies.faults import FaultStudy
 from renet.terminal import show
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from animated_webp import write_webp
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import FLAT_GROUND, Trial
+from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import FLAT_GROUND
 from renet.evaluation.video import film
-from renet.interface import CONTROL_DT
+from renet.interface import control_steps
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "drive.webp"
 COMMANDS = {
@@ -38,7 +39,7 @@ def main() -> None:
     env = evaluator.make_env(FLAT_GROUND, [0] * len(rows), speed=0.6, seed=0)
     env.follow(np.array(list(COMMANDS.values())))
     rollout = evaluator.rollout(env, [Trial("camera")] * len(rows), seed=0)
-    steps = round(SECONDS / CONTROL_DT)
+    steps = control_steps(SECONDS)
     trace = rollout.run(steps, "robots are driven", film=rows)
     titles = dict(enumerate(COMMANDS))
     with tempfile.TemporaryDirectory() as folder:

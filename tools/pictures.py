@@ -23,9 +23,10 @@ from renet.evaluation import figures
 from renet.evaluation.env import SimEnv
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import output_folder, write_json
-from renet.evaluation.rollout import PARKOUR, Rollout, Trial
+from renet.evaluation.rollout import Rollout, Trial
+from renet.evaluation.settings import PARKOUR
 from renet.evaluation.trace import UPDATES_PER_STEP
-from renet.interface import CONTROL_DT, DEPTH_RANGE, HEIGHT_MAP_X, HEIGHT_MAP_Y
+from renet.interface import DEPTH_RANGE, HEIGHT_MAP_X, HEIGHT_MAP_Y, control_steps
 from renet.selector.monitors import SelectorInput
 from renet.sim.depth.camera import DepthNoiseCfg, MountCfg, add_noise, mount_rotation
 from renet.sim.depth.rasterizer import scanner
@@ -76,7 +77,7 @@ def main(cfg: Cfg) -> None:
     env.place(np.full(len(kinds), cfg.level - 1), np.arange(len(kinds)))
     rollout = evaluator.rollout(env, [Trial("camera") for _ in kinds], cfg.seed)
     maps = keep_maps(rollout, env)
-    rollout.run(round(cfg.seconds / CONTROL_DT), "height maps of all tiles")
+    rollout.run(control_steps(cfg.seconds), "height maps of all tiles")
     drawn["height_map.png"] = draw_height_maps(np.stack(maps), kinds)
     out, provenance = output_folder(cfg.out), evaluator.provenance(cfg.seed)
     for name, figure in drawn.items():

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import Conditions
+from renet.evaluation.settings import Conditions
 from renet.interface import STEPS_PER_TICK
 from renet.models.adaptation import fuse
 from renet.models.memory import EstimatorMemory

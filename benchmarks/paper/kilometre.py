@@ -32,12 +32,13 @@ from renet.evaluation.benchmark.walking import CAMERA_NOISE, SUNK, course_env_cf
 from renet.evaluation.env import SimEnv
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import group_by
-from renet.evaluation.rollout import Conditions, Trial
+from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import Conditions
 from renet.evaluation.study import Part, Study, Table
 from renet.evaluation.trace import StepResult, Trace
 from renet.faults import FAULTS, Frames, ViewPerturbation
 from renet.files import remove
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, control_steps
 from renet.tasks.mdp.commands import goal
 from renet.terrain.course import Course, Gap, Obstacle, Plain, Platform, Ramp, Stairs
 
@@ -317,7 +318,7 @@ class KilometreStudy(Study):
             positions.append(env.position.copy())
             return bool(env.finished.all())
 
-        steps = round(len(lap.sections) * STUCK_AFTER / CONTROL_DT)
+        steps = control_steps(len(lap.sections) * STUCK_AFTER)
         filmed = self.film is not None and number == 1
         rows_filmed = range(len(trials)) if filmed else ()
         trace = rollout.run(steps, f"lap {number}", film=rows_filmed, on_step=watch)

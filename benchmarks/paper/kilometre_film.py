@@ -15,7 +15,7 @@ from renet.errors import RenetError
 from renet.evaluation.trace import Film, Trace
 from renet.evaluation.video import pictures
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import STEPS_PER_TICK, control_steps
 
 SHOWN = ("covered lens, stairs", "gaps in a row", "platform of 48 cm", "covered lens, gap")
 """Sections that the film shows, one after the other."""
@@ -82,7 +82,7 @@ def clip(visit: Visit, number: int, robots: Sequence[int], start: float) -> Trac
     assert trace.film is not None
     ways = [visit.steps(number, robot) for robot in robots]
     sooner, later = sorted(map(len, ways))
-    count = min(later, sooner + round(_PATIENCE / CONTROL_DT)) + round(_LAST / CONTROL_DT)
+    count = min(later, sooner + control_steps(_PATIENCE)) + control_steps(_LAST)
     shown = []
     for way in ways:
         # Whoever is through sooner stays in its last picture.
@@ -125,7 +125,7 @@ def write(
         starts: where sections begin, and where the last one ends, m.
     """
     images = []
-    pace = round(_PACE / _FPS / CONTROL_DT)
+    pace = control_steps(_PACE / _FPS)
     for name in SHOWN:
         number = sections[name]
         cut = clip(visit, number, list(robots.values()), starts[number])

@@ -47,7 +47,6 @@ class Robot:
             depth=one,
             angular_velocity=one,
             forward_velocity=one,
-            height=one,
             travelled=one,
             collisions=one,
             power=one,

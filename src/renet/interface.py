@@ -127,6 +127,11 @@ MAP_HEIGHT = 0.3
 NUM_FEET = len(LEGS)
 
 
+def control_steps(seconds: float) -> int:
+    """Return the number of control steps in a time, rounded."""
+    return round(seconds / CONTROL_DT)
+
+
 def proprioception_slices() -> dict[str, slice]:
     """Return the slice of each term of `PROPRIOCEPTION` in the vector, by name."""
     slices = {}

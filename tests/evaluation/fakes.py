@@ -63,7 +63,6 @@ class FakeEnv:
             depth=np.tile(GROUND, (n, 1, 1)).astype(np.float16),
             angular_velocity=np.zeros((n, 3), np.float32),
             forward_velocity=speed,
-            height=np.full(n, 0.3),
             travelled=self.x.copy(),
             collisions=np.zeros(n),
             power=np.full(n, 60.0),
@@ -102,7 +101,6 @@ class FakeEvaluator:
     thresholds: ClassVar = {"reconstruction": 0.01, "duplicate": 3.0, "frame_age": 0.2}
     robot = VISUAL_GO1
     rollout = Evaluator.rollout
-    make_pilot = Evaluator.make_pilot
     terrain_env_cfg = Evaluator.terrain_env_cfg
     set_conditions = Evaluator.set_conditions
     conditions = "nominal"

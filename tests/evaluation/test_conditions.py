@@ -14,7 +14,7 @@ from renet.evaluation.conditions import Disturbances, use_training_conditions
 from renet.evaluation.demo import DemoStudy
 from renet.evaluation.env import SimEnv, study_env_cfg, terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
-from renet.evaluation.rollout import FLAT_GROUND
+from renet.evaluation.settings import FLAT_GROUND
 from renet.evaluation.studies.commands import CommandStudy
 from renet.evaluation.trace import StepResult
 from renet.interface import PROPRIOCEPTION, proprioception_slices

@@ -44,7 +44,7 @@ def test_a_bundle_drives_simulated_robots_and_leaves_vision_when_it_is_spoilt(bu
     assert not trace.fallen.any()
     # Studies need not run OP again for each fault: it does the same.
     assert (trace.anomaly[20:, 3] > 1.2 * trace.anomaly[20:, 4]).all()
-    np.testing.assert_allclose(trace.height[:, 3], trace.height[:, 4], atol=1e-5)
+    np.testing.assert_allclose(trace.travelled[:, 3], trace.travelled[:, 4], atol=1e-5)
     assert evaluator.provenance(3).bundle_hash == evaluator.bundle.sha256
 
 
@@ -186,7 +186,7 @@ def test_twins_are_alike_in_batches_of_any_size_and_every_run_is_the_same(bundle
             assert torch.equal(values, values[first])
         rows = [Trial("camera", robot=number) for number in robots]
         traces = [evaluator.rollout(env, rows, 1).run(40) for _ in range(2)]
-        once, again = (np.stack([t.height, t.forward_velocity, t.travelled]) for t in traces)
+        once, again = (np.stack([t.forward_velocity, t.travelled]) for t in traces)
         np.testing.assert_array_equal(once, again)
         return once, seen
 

@@ -13,7 +13,7 @@ import pytest
 from renet.bundle import Bundle, pretrained
 from renet.errors import RenetError
 from renet.evaluation import painter, video
-from renet.evaluation.env import robot_of
+from renet.evaluation.env import trained_env_cfg
 from renet.evaluation.play import PlayCfg, bundle_folder, opened, run_play
 from renet.evaluation.trace import Trace
 from renet.robots import GO1
@@ -167,7 +167,7 @@ def test_a_checkpoint_becomes_a_bundle_for_as_long_as_it_is_open():
     with bundle_folder(CHECKPOINT) as folder:
         assert folder is not None
         assert Bundle.load(folder).manifest.robot.name == "Unitree Go1"
-        assert robot_of(Bundle.load(folder).manifest) == VISUAL_GO1
+        assert trained_env_cfg(Bundle.load(folder).manifest).robot == VISUAL_GO1
     assert not folder.exists()
     with bundle_folder(None) as folder:
         assert folder is None
@@ -177,4 +177,4 @@ def test_a_bundle_of_a_robot_unknown_here_is_refused():
     manifest = Bundle.load().manifest
     other = replace(manifest, provenance=replace(manifest.provenance, task="Renet-Spot-Flat"))
     with pytest.raises(RenetError, match="Renet-Spot-Flat is unknown here: start from the file"):
-        robot_of(other)
+        trained_env_cfg(other)

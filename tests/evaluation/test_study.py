@@ -13,9 +13,10 @@ import pytest
 from renet import cli
 from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.errors import RenetError
-from renet.evaluation.env import FLAT_GROUND, terrain_env_cfg
+from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_RESULT_SIZE, Provenance, read_results, write_summary
+from renet.evaluation.settings import FLAT_GROUND
 from renet.registry import register_tasks
 from renet.tasks import VISUAL_GO1
 from renet.tasks.sensors import DEPTH_CAMERA

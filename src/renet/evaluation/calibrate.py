@@ -21,17 +21,17 @@ from renet.deploy.recording.calibration_log import recorded_scores
 from renet.errors import RenetError
 from renet.evaluation.calibrate_memory import MEMORY, Memory, memory_limits
 from renet.evaluation.monitor_log import MonitorLog, healthy_series
-from renet.evaluation.rollout import (
+from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import (
     FLAT_GROUND,
     PARKOUR,
     Conditions,
-    Trial,
     check_finite,
     check_names,
     check_speed,
 )
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, TICK_DT, Engine
+from renet.interface import TICK_DT, Engine, control_steps
 from renet.selector.calibration import (
     Calibration,
     calibrate,
@@ -311,7 +311,7 @@ def _healthy_runs(
     from renet.terrain.tiles import tiles
 
     robots = np.arange(cfg.robots)
-    steps = round(cfg.seconds / CONTROL_DT)
+    steps = control_steps(cfg.seconds)
     faults = (Injection.of("tall_grass", SPARSE_GRASS, onset=0),) if grass else ()
     trials = [Trial(mode, faults, int(robot)) for robot in robots]
     series: Series = {name: [] for name in MONITORS}

@@ -9,7 +9,7 @@ import numpy as np
 
 from renet.evaluation.rollout import Rollout, Trial, pilot_modes, robot_numbers
 from renet.faults import Injection
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, control_steps
 from renet.pilot import Pilot
 from renet.selector import make_selector
 from renet.selector.calibration import stale_above
@@ -53,8 +53,8 @@ def memory_limits(
     from renet.terrain.tiles import tiles
 
     numbers = np.arange(robots)
-    earliest = round(BLACKOUT_RANGE[0] / CONTROL_DT)
-    latest = round(BLACKOUT_RANGE[1] / CONTROL_DT)
+    earliest = control_steps(BLACKOUT_RANGE[0])
+    latest = control_steps(BLACKOUT_RANGE[1])
     dies = np.random.default_rng(seed).integers(earliest, latest, robots)
     trials = []
     for number, step in enumerate(dies.tolist()):
@@ -74,7 +74,7 @@ def memory_limits(
     selectors = {"memory": make_selector("memory", endless, len(trials))}
     pilot = Pilot(evaluator.make_policy(len(trials)), selectors, pilot_modes(trials))
     rollout = Rollout(env, pilot, trials, seed)
-    steps = latest + round(MEASURED / CONTROL_DT)
+    steps = latest + control_steps(MEASURED)
     trace = rollout.run(steps, "memory", until_ended=0, retire=True)
     # Two levels of a kind are one ground.
     return limits_of_trace(trace, dies, kinds * levels + level // 2)
@@ -102,7 +102,7 @@ def limits_of_trace(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memor
     expected = np.broadcast_to(rate[ground], moments.shape)[moments]
     fell = falls[:, :count][moments]
     # The map's predicted error some time before each step.
-    earlier = round(_WARNING_TIME / CONTROL_DT)
+    earlier = control_steps(_WARNING_TIME)
     error = np.vstack([trace.map_error[:1, :count].repeat(earlier, 0), trace.map_error[:, :count]])
     limit = stale_above(error[: len(steps)][moments], fell, expected)
     without = np.broadcast_to((steps - dies) * CONTROL_DT, moments.shape)[moments]

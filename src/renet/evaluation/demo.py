@@ -16,15 +16,16 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column
-from renet.evaluation.rollout import StudyMode, robot_numbers
-from renet.evaluation.studies.one_try import EDGES, start_facing
+from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.settings import StudyMode
+from renet.evaluation.studies.grounds import EDGES, onset_before_edge, start_facing
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
 from renet.files import read_bytes, remove, write_atomically
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, control_steps
 from renet.terminal import show
-from renet.terrain.tiles import LEVELS, tiles
+from renet.terrain.tiles import tiles
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -82,12 +83,12 @@ class DemoStudy(WalkingStudy):
     @property
     def onset(self) -> int:
         """Control step at which cameras are unplugged."""
-        return max(round((EDGES[_GROUND] / self.speed - _LEAD) / CONTROL_DT), 0)
+        return control_steps(onset_before_edge(self.speed, _LEAD))
 
     @property
     def gap(self) -> float:
         """Width of the gap, m."""
-        return tiles()[_GROUND].measure((_LEVEL - 1) / (LEVELS - 1))
+        return tiles()[_GROUND].measure_at(_LEVEL)
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run the study; the robots walk again if the film is missing."""
@@ -103,9 +104,9 @@ class DemoStudy(WalkingStudy):
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part: all modes side by side."""
-        return {_GROUND: partial(self._walk, evaluator)}
+        return {_GROUND: partial(self._walk_and_film, evaluator)}
 
-    def _walk(self, evaluator: Evaluator) -> Part:
+    def _walk_and_film(self, evaluator: Evaluator) -> Part:
         """Walk, and film twins of which the first mode's falls and the last mode's crosses."""
         from renet.evaluation.video import film
 
@@ -116,11 +117,9 @@ class DemoStudy(WalkingStudy):
         cfg = evaluator.terrain_env_cfg({_GROUND: _LEVEL})
         start_facing(cfg)
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
-        env.place_on([_GROUND] * len(trials))
-        steps = round(self.seconds / CONTROL_DT)
-        rollout = evaluator.rollout(env, trials, self.seed)
         title = f"{len(trials)} robots"
-        trace = rollout.run(steps, title, until_ended=self.onset, film=range(len(trials)))
+        everybody = range(len(trials))
+        trace = self.walk(evaluator, env, trials, title, until_ended=self.onset, film=everybody)
         # [modes, robots]
         crossed, fell, _ = trace.first_try()
         crossed = crossed.reshape(-1, each)
@@ -148,15 +147,15 @@ class DemoStudy(WalkingStudy):
             trace: the run of the robots that the film shows.
             goal: distance from the start at which a robot has crossed, m.
         """
-        before = round(FILM_SPAN[0] / CONTROL_DT)
-        after = round(FILM_SPAN[1] / CONTROL_DT)
+        before = control_steps(FILM_SPAN[0])
+        after = control_steps(FILM_SPAN[1])
         onset = self.onset
-        normal = onset + round(_SLOW_SECONDS / CONTROL_DT)
+        normal = onset + control_steps(_SLOW_SECONDS)
         end = min(onset + after, len(trace.fell))
         # Where a robot has no outcome, the film is as long as it may be.
         decided = (trace.over | (trace.travelled >= goal)).all(axis=1)
         if decided.any():
-            end = min(end, int(decided.argmax()) + round(_FILM_REST / CONTROL_DT))
+            end = min(end, int(decided.argmax()) + control_steps(_FILM_REST))
         return [
             *range(max(onset - before, 0), onset, _STRIDE),
             *range(onset, min(normal, end), _STRIDE // 2),

@@ -18,7 +18,7 @@ from torch import Tensor
 from renet.bundle.manifest import Manifest
 from renet.errors import RenetError
 from renet.evaluation.conditions import Disturbances
-from renet.evaluation.rollout import FLAT_GROUND
+from renet.evaluation.settings import FLAT_GROUND
 from renet.evaluation.trace import StepResult
 from renet.faults import ViewPerturbation
 from renet.faults.physical import choose_evenly, obstacles
@@ -65,11 +65,6 @@ def trained_env_cfg(manifest: Manifest) -> RenetEnvCfg:
             f"the bundle's task {task} is unknown here: start from the file that describes its"
             f" robot, {manifest.robot.name} (docs/robots.md)"
         ) from error
-
-
-def robot_of(manifest: Manifest) -> Robot:
-    """Robot that a bundle was trained on; raises RenetError if its task is not registered here."""
-    return trained_env_cfg(manifest).robot
 
 
 def terrain_env_cfg(
@@ -290,7 +285,11 @@ class SimEnv:
 
     def place_on(self, grounds: Sequence[str]) -> None:
         """Put each robot on a ground of `terrain_env_cfg`, from the next reset on; [N] names."""
-        kinds = list(tile_terrain(self.env).cfg.terrain_generator.sub_terrains)
+        generator = tile_terrain(self.env).cfg.terrain_generator
+        # A plane is the same everywhere.
+        if generator is None:
+            return
+        kinds = list(generator.sub_terrains)
         columns = np.array([kinds.index(ground) for ground in grounds])
         self.place(np.zeros(len(grounds), int), columns)
 
@@ -339,13 +338,11 @@ class SimEnv:
         self.observation = observation
         """Newest observations by group, including `Evaluator.privileged`."""
         velocity = self._robot.root_link_lin_vel_w[:, :2]
-        above = self._robot.root_link_pos_w[:, 2] - self.env.scene.env_origins[:, 2]
         return StepResult(
             proprioception=observation["proprioception"].numpy().astype(np.float32),
             depth=observation["depth"].numpy(),
             angular_velocity=self._robot.root_link_ang_vel_b.numpy().copy(),
             forward_velocity=(velocity * goal(self.env).direction).sum(-1).numpy(),
-            height=above.numpy(),
             travelled=np.linalg.norm(self._position() - self._start, axis=1),
             collisions=collision(self.env).numpy(),
             power=joint_energy(self.env).numpy(),

@@ -10,21 +10,13 @@ from renet.errors import RenetError
 from renet.evaluation.conditions import use_training_conditions
 from renet.evaluation.env import (
     SimEnv,
-    robot_of,
     study_env_cfg,
     terrain_env_cfg,
     trained_env_cfg,
 )
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import (
-    FLAT_GROUND,
-    PARKOUR,
-    Conditions,
-    EvalEnv,
-    Rollout,
-    Trial,
-    pilot_modes,
-)
+from renet.evaluation.rollout import EvalEnv, Rollout, Trial, pilot_modes
+from renet.evaluation.settings import FLAT_GROUND, PARKOUR, Conditions
 from renet.interface import Unseen
 from renet.motor_models import IDEAL, find_motors
 from renet.pilot import Pilot
@@ -73,7 +65,7 @@ class Evaluator:
     @property
     def robot(self) -> Robot:
         """The robot the bundle was trained on; raises RenetError if it is unknown here."""
-        return robot_of(self.bundle.manifest)
+        return trained_env_cfg(self.bundle.manifest).robot
 
     @property
     def beta(self) -> float:
@@ -160,20 +152,6 @@ class Evaluator:
         """Make the selector of mode memory or switch, for N robots."""
         return make_selector(kind, self.bundle.manifest.selector, num_robots)
 
-    def make_pilot(self, modes: Sequence[str], unseen: Unseen | Sequence[Unseen] = "walk") -> Pilot:
-        """Make the pilot of the policy under study.
-
-        Args:
-            modes: mode of each robot, [N].
-            unseen: conduct where the camera fails, of all robots or of each, see `Pilot`.
-        """
-        robots = len(modes)
-        policy = self.make_policy(robots)
-        # Robots of other modes obey no selector, but their traces record mode memory's answers.
-        kinds = ["memory", "switch"] if "switch" in modes else ["memory"]
-        selectors = {kind: self.make_selector(kind, robots) for kind in kinds}
-        return Pilot(policy, selectors, modes, unseen)
-
     def rollout(
         self,
         env: EvalEnv,
@@ -181,5 +159,17 @@ class Evaluator:
         seed: int,
         unseen: Unseen | Sequence[Unseen] = "walk",
     ) -> Rollout:
-        """Prepare a run of the policy under study; see `Rollout`, and `Pilot` for `unseen`."""
-        return Rollout(env, self.make_pilot(pilot_modes(trials), unseen), trials, seed)
+        """Prepare a run of the policy under study.
+
+        Args:
+            env: environment of N robots.
+            trials: mode and camera faults of each robot, [N].
+            seed: seed of the camera faults.
+            unseen: conduct where the camera fails, of all robots or of each, see `Pilot`.
+        """
+        modes = pilot_modes(trials)
+        policy = self.make_policy(len(trials))
+        # Robots of other modes obey no selector, but their traces record mode memory's answers.
+        kinds = ["memory", "switch"] if "switch" in modes else ["memory"]
+        selectors = {kind: self.make_selector(kind, len(trials)) for kind in kinds}
+        return Rollout(env, Pilot(policy, selectors, modes, unseen), trials, seed)

@@ -8,7 +8,7 @@ import io
 import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from itertools import chain, cycle
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,18 +23,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 from renet.evaluation.results import Provenance, column, group_by
-from renet.faults import fault_class
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT
 from renet.palette import BLIND_COLOUR, REMEMBERS_COLOUR, SEES_COLOUR
 
-_LOSS = "#3c3ca0"
-_PROBABILITY = "#64aa5f"
-_NOISE_COLOURS = {
-    "gaussian": ("#9ecae1", "#4292c6", "#084594"),
-    "salt_and_pepper": ("#fdae6b", "#f16913", "#a63603"),
-}
-"""Colours of each noise, in the order of its levels."""
 INK = "#222730"
 """Colour of text and lines."""
 FAINT = "#69707b"
@@ -125,54 +116,6 @@ def png(figure: Figure, dpi: int = 150, description: str | None = None) -> bytes
 def setting_label(finding: dict[str, Any]) -> str:
     """Label of a finding's setting, such as "glare 5 on gap"."""
     return f"{finding['fault']} {finding['severity']} on {finding['ground'].replace('_', ' ')}"
-
-
-def noise_label(noise: str, level: float) -> str:
-    """Label of a noise setting as in the paper, such as "GA 30 %"."""
-    if noise == "none":
-        return "no noise"
-    short = {"gaussian": "GA", "salt_and_pepper": "SP"}.get(noise)
-    if short is None:
-        return f"{noise}, {fault_class(noise).describe(float(level))}"
-    return f"{short} {100 * level:.0f} %"
-
-
-def speed_over_time(
-    curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]], onset: float, command: float
-) -> Figure:
-    """The paper's comparison: mean forward velocity against timestep, a panel below the other.
-
-    Args:
-        curves: mode → (noise, level) → [T] m/s, mean over the robots.
-        onset: time at which the noise begins, s.
-        command: commanded speed, m/s.
-    """
-    size = (FIGURE_WIDTH, 2.6 * len(curves) + 1.0)
-    figure, axes = plt.subplots(
-        len(curves), 1, figsize=size, sharex=True, sharey=True, squeeze=False
-    )
-    column_of_axes = axes[:, 0]
-    for axis, letter, (mode, settings) in zip(
-        column_of_axes, "abcdef", curves.items(), strict=False
-    ):
-        shades = {noise: cycle(_NOISE_COLOURS.get(noise, ("#7d8590",))) for noise, _ in settings}
-        for (noise, level), speed in settings.items():
-            look: Any = {"color": next(shades[noise]), "label": noise_label(noise, level)}
-            axis.plot(smooth(speed), "--" if noise == "none" else "-", **look)
-        axis.axvline(onset / CONTROL_DT, color=INK, linewidth=1, linestyle=":")
-        axis.axhline(command, color=FAINT, linewidth=1, linestyle=(0, (1, 3)))
-        write_beside(axis, onset / CONTROL_DT, "noise begins", 0.0, xytext=(4, 5))
-        axis.set(title=f"({letter}) {mode}", ylabel="mean forward\nvelocity (m/s)")
-    column_of_axes[-1].set_xlabel("timestep (0.02 s)")
-    legend(figure, column_of_axes[0])
-    return figure
-
-
-def smooth(values: np.ndarray) -> np.ndarray:
-    """Centred moving mean over about half a gait cycle, shorter at both ends."""
-    kernel = np.ones(13)
-    total = np.convolve(values, kernel, "same")
-    return total / np.convolve(np.ones_like(values), kernel, "same")
 
 
 Cells = Mapping[tuple[str, str], tuple[float, str]]
@@ -320,57 +263,6 @@ def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
     axis.spines[["bottom", "left"]].set_visible(False)
     axis.tick_params(length=0, labelsize=11)
     return figure
-
-
-def timeline(
-    line: Mapping[str, Any], marks: Sequence[tuple[float, str]], beta: float, title: str
-) -> Figure:
-    """The paper's timeline of one robot: loss, threshold, estimator in charge and probability P.
-
-    Args:
-        line: `anomaly`, `probability` and `vision` (VP in charge) at each control step, [T] each.
-        marks: times to point out, s, with their texts.
-        beta: threshold on the anomaly score.
-        title: title of the figure.
-    """
-    figure, axis = plt.subplots(figsize=(11, 3.7))
-    vision = np.array(line["vision"], bool)
-    # A robot has no score before its first tick, which a logarithmic axis would show as a dive.
-    anomaly = np.array(line["anomaly"], float)
-    anomaly[anomaly <= 0] = np.nan
-    time = np.arange(len(anomaly)) * CONTROL_DT
-    height = axis.get_xaxis_transform()
-    axis.plot(time, anomaly, color=_LOSS, label="reconstruction loss")
-    axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
-    for acts, colour, label in (
-        (vision, SEES_COLOUR, "VP in charge"),
-        (~vision, BLIND_COLOUR, "OP in charge"),
-    ):
-        look = {"color": colour, "alpha": 0.3, "linewidth": 0, "label": label}
-        # A step's colour reaches until the next step.
-        until_next = acts | np.insert(acts[:-1], 0, False)
-        axis.fill_between(time, 0, 1, until_next, step="post", transform=height, **look)
-    # Leave room above the curve for the marks' texts.
-    top = 4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta)
-    axis.set(yscale="log", ylim=(None, top), xlim=(0, time[-1]))
-    axis.set(title=title, xlabel="time (s)", ylabel="anomaly score")
-    for instant, text in marks:
-        axis.axvline(instant, color=INK, linewidth=1, linestyle=":")
-        write_beside(axis, instant, text, 1.0, xytext=(3, -10))
-    right = axis.twinx()
-    label = "vision probability P"
-    right.plot(time, np.array(line["probability"]), "--", color=_PROBABILITY, label=label)
-    right.set(ylim=(-0.05, 1.25), yticks=np.linspace(0, 1, 6))
-    right.set_ylabel("P", color=_PROBABILITY)
-    right.grid(False)
-    legend(figure, axis, right)
-    return figure
-
-
-def write_beside(axis: Axes, instant: float, text: str, height: float, **look: Any) -> None:
-    """Write a text beside an instant, at a share of the axis' height."""
-    look = {"xytext": (0, 0), "textcoords": "offset points", "fontsize": 7.5} | look
-    axis.annotate(text, (instant, height), xycoords=("data", "axes fraction"), **look)
 
 
 def legend(figure: Figure, *axes: Axes) -> None:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -31,14 +31,6 @@ _NEWS_INTERVAL = 0.2
 """Shortest time between two messages about a part's progress, s."""
 _EXIT_TIMEOUT = 20.0
 """Time that a process has to exit after it is told to, s."""
-
-
-class PicklableStudy(Protocol):
-    """Study of a class that other processes can import."""
-
-    def part_maker(self) -> Callable[[str], Any]:
-        """Make a function that makes a part by its name, and keeps it on disk."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -72,11 +64,13 @@ class Job:
     """Names of the parts it makes; none before the first."""
 
 
-def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int) -> None:
+def make_parts(
+    part_maker: Callable[[], Callable[[str], Any]], groups: Sequence[Sequence[str]], jobs: int
+) -> None:
     """Make parts of a study, and keep them on disk.
 
     Args:
-        study: its `part_maker` is called in every process.
+        part_maker: `Study.part_maker` of a study, which every process calls.
         groups: names of the parts; one process makes those of a group.
         jobs: number of processes.
 
@@ -85,7 +79,7 @@ def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int
             study is of a class that other processes cannot import.
     """
     try:
-        study_bytes = pickle.dumps(study)
+        pickled = pickle.dumps(part_maker)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise RenetError(f"--jobs needs a study that other processes can import: {error}") from None
     waiting = list(groups)
@@ -97,7 +91,7 @@ def make_parts(study: PicklableStudy, groups: Sequence[Sequence[str]], jobs: int
         whole = bars.add_task(f"{'parts':<24}", total=count)
         for processors in _shares(jobs):
             bar = bars.add_task(f"{'starting':<24}", total=None)
-            running.append(Job(*_start(study_bytes, processors), bar))
+            running.append(Job(*_start(pickled, processors), bar))
         while running:
             jobs_by_connection: dict[Any, Job] = {job.connection: job for job in running}
             for connection in wait(list(jobs_by_connection)):
@@ -128,7 +122,7 @@ def _shares(jobs: int) -> list[list[int]]:
     return [shares[job % len(shares)].tolist() for job in range(jobs)]
 
 
-def _start(study_bytes: bytes, processors: list[int]) -> tuple[BaseProcess, Connection]:
+def _start(pickled: bytes, processors: list[int]) -> tuple[BaseProcess, Connection]:
     """Start a process, and return it with this end of its connection."""
     # Forking a process with threads, such as PyTorch's, is not safe.
     context = get_context("spawn")
@@ -143,7 +137,7 @@ def _start(study_bytes: bytes, processors: list[int]) -> tuple[BaseProcess, Conn
     theirs.close()
     # If the process has exited already, the job's first message tells.
     with suppress(BrokenPipeError):
-        ours.send_bytes(study_bytes)
+        ours.send_bytes(pickled)
     return process, ours
 
 
@@ -199,7 +193,8 @@ def _work(connection: Connection, processors: list[int]) -> None:
     tell_progress(tell)
     try:
         # Unpickling the study imports its modules, which start thread pools.
-        make = connection.recv().part_maker()
+        part_maker = connection.recv()
+        make = part_maker()
         connection.send(None)
         while names := connection.recv():
             for name in names:

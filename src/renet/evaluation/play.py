@@ -17,16 +17,10 @@ from renet.evaluation.adapters.options import PolicyOptions
 from renet.evaluation.benchmark.modes import HEALTHY
 from renet.evaluation.live import STEPS_PER_PICTURE, Pacer, Viewer, open_view
 from renet.evaluation.results import output_folder
-from renet.evaluation.rollout import (
-    FLAT_GROUND,
-    PARKOUR,
-    StudyMode,
-    Trial,
-    check_finite,
-    check_modes,
-)
+from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import FLAT_GROUND, PARKOUR, StudyMode, check_finite, check_modes
 from renet.faults import parse_fault
-from renet.interface import CONTROL_DT, Engine, Terrain
+from renet.interface import Engine, Terrain, control_steps
 
 if TYPE_CHECKING:
     from renet.evaluation.env import SimEnv
@@ -47,8 +41,8 @@ class PlayCfg(PolicyOptions):
     """Bundle folder, or a checkpoint or run folder; or the name of a bundle that comes with renet:
     go1-parkour (the default), go1-driven, go2-parkour; or hf://OWNER/NAME on the Hugging Face
     Hub."""
-    out: Path | None = None
-    """The film; results/play.mp4 by default."""
+    out: Path = Path("results/play.mp4")
+    """The film."""
     terrain: Terrain | Literal["parkour"] = "gap"
     """Ground; parkour: all tiles at all levels."""
     level: int = 5
@@ -128,9 +122,9 @@ def opened(cfg: PlayCfg) -> Iterator[tuple[Evaluator, Mapping[str, str]]]:
 
 def check_play(cfg: PlayCfg) -> None:
     """Raise RenetError for settings that no film can have."""
-    out = film_path(cfg)
-    if out.suffix != ".mp4":
-        raise RenetError(f"a film is an .mp4: give --out {out.name}.mp4, not {out.name}")
+    name = cfg.out.name
+    if cfg.out.suffix != ".mp4":
+        raise RenetError(f"a film is an .mp4: give --out {name}.mp4, not {name}")
     check_finite(cfg)
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")
@@ -144,17 +138,11 @@ def check_play(cfg: PlayCfg) -> None:
         check_modes(cfg.modes)
 
 
-def film_path(cfg: PlayCfg) -> Path:
-    """Path of the film."""
-    return cfg.out or Path("results/play.mp4")
-
-
 def run_play(cfg: PlayCfg) -> Path:
     """Run and film the robots and return the film's path; raises RenetError for wrong settings."""
     check_play(cfg)
     faults = tuple(map(parse_fault, cfg.fault))
-    steps = round(cfg.seconds / CONTROL_DT)
-    out = film_path(cfg)
+    steps = control_steps(cfg.seconds)
     # These imports take seconds; wrong settings fail before them.
     from renet.evaluation.video import film
 
@@ -164,7 +152,7 @@ def run_play(cfg: PlayCfg) -> Path:
             trials.append(Trial(mode, () if title == HEALTHY else faults))
         rows = range(len(trials))
         task = ground_of(cfg)
-        output_folder(out.parent)
+        output_folder(cfg.out.parent)
         # All robots are twins.
         env = evaluator.make_env(task, [0] * len(rows), cfg.speed, cfg.seed)
         rollout = evaluator.rollout(env, trials, cfg.seed)
@@ -173,7 +161,7 @@ def run_play(cfg: PlayCfg) -> Path:
     with watching(cfg, env, titles) as on_step:
         trace = rollout.run(steps, f"{ground}, {len(rows)} robots", film=rows, on_step=on_step)
     name = ", ".join(fault.fault for fault in faults)
-    return film(out, env.scene_spec, trace, dict(enumerate(titles)), name)
+    return film(cfg.out, env.scene_spec, trace, dict(enumerate(titles)), name)
 
 
 def ground_of(cfg: PlayCfg) -> Any:

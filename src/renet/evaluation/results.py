@@ -186,6 +186,11 @@ def column(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
     return [row[name] for row in rows]
 
 
+def as_text(value: float | None, form: str, scale: float = 1.0) -> str:
+    """A number, scaled, in a format such as ".2f"; a dash if it was not measured."""
+    return "-" if value is None else format(scale * value, form)
+
+
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows with the keys of the first as header, atomically."""
     text = io.StringIO()

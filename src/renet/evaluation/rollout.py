@@ -5,14 +5,14 @@ run. A control step is the same as on a real robot, except that the pilot judges
 paper's 200 Hz, four times in a control step.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import Any, Final, Literal, Protocol, get_args
+from typing import Any, Protocol
 
 import numpy as np
 
 from renet.errors import RenetError
+from renet.evaluation.settings import FLAT_GROUND, ORACLE, check_modes
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, StepResult, Trace, TrueState
 from renet.faults import FaultSchedule, Frames, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
@@ -20,17 +20,6 @@ from renet.pilot import Images, Pilot
 from renet.pilot.policy import Policy
 from renet.selector.monitors import SelectorInput
 from renet.terminal import progress
-
-FLAT_GROUND: Final = "flat"
-"""Ground without tiles."""
-PARKOUR: Final = "parkour"
-"""A field of all tiles at all levels."""
-ORACLE: Final = "oracle"
-"""Mode that only studies have: VP, and OP exactly while the camera fails."""
-StudyMode = Literal["memory", "switch", "camera", "blind", "oracle"]
-"""Modes of a study's robots: the pilot's (`interface.PilotMode`), and `ORACLE`."""
-Conditions = Literal["nominal", "training"]
-"""Conditions other than the ground, see `renet.evaluation.conditions`."""
 
 
 @dataclass(frozen=True)
@@ -41,46 +30,11 @@ class Trial:
     schedule: FaultSchedule = ()
     robot: int = 0
     """Number within its setting; robots of the same number are twins that draw the same noise."""
-    ground: str = "flat"
+    ground: str = FLAT_GROUND
     """Ground it walks on, in an environment of several grounds."""
 
     def __post_init__(self) -> None:
         check_modes((self.mode,))
-
-
-def check_modes(modes: Sequence[str]) -> None:
-    """Raise RenetError unless each mode is a policy mode and is given once."""
-    if not modes or not {*modes} <= {*get_args(StudyMode)} or len({*modes}) < len(modes):
-        names = ", ".join(modes) or "none"
-        choices = ", ".join(get_args(StudyMode))
-        raise RenetError(f"modes {names}: choose, once each, among {choices}")
-
-
-def check_names(setting: str, names: Sequence[str], choices: Collection[str]) -> None:
-    """Raise RenetError unless a setting has names, and all of them are among the choices."""
-    if not names or not {*names} <= {*choices}:
-        raise RenetError(f"{setting} {names}: choose among {', '.join(choices)}")
-
-
-def check_grounds(levels: Mapping[str, int]) -> None:
-    """Raise RenetError unless each ground is flat or a kind of tile, and its level is 1 to 10."""
-    from renet.terrain.tiles import find_tile  # Needs MuJoCo; calibration from logs does not.
-
-    for ground, level in levels.items():
-        find_tile("rough" if ground == FLAT_GROUND else ground, level)
-
-
-def check_speed(speed: float) -> None:
-    """Raise RenetError unless a commanded speed, m/s, is positive."""
-    if not speed > 0:
-        raise RenetError(f"speed must be positive, got {speed}")
-
-
-def check_finite(settings: Any) -> None:
-    """Raise RenetError for a field of a dataclass that is infinite or NaN."""
-    for name, value in vars(settings).items():
-        if isinstance(value, float) and not np.isfinite(value):
-            raise RenetError(f"{name.replace('_', ' ')} must be a finite number, got {value}")
 
 
 class EvalEnv(Protocol):
@@ -104,32 +58,6 @@ class EvalEnv(Protocol):
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
         """Set how cameras see the scene from their next image on: physical faults."""
-
-
-def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise RenetError unless an ONNX policy has the inputs and outputs of a study.
-
-    Args:
-        path: file of the policy, for the message.
-        nodes: inputs and outputs of its session, with N robots as their first dimension.
-        shapes: shapes needed for one robot, by name.
-    """
-    batched = True
-    row_shapes = {}
-    present = []
-    for node in nodes:
-        shape = list(node.shape)
-        # A dimension with a number instead of a name is a fixed batch size.
-        batched &= bool(shape) and not isinstance(shape[0], int)
-        row_shapes[node.name] = tuple(shape[1:])
-        present.append(f"{node.name} {shape}")
-    if row_shapes != shapes or not batched:
-        raise RenetError(
-            f"{path} has {', '.join(present)}; a study"
-            " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
-            " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
-            " model needs in the policy's `step` (docs/measure.md, Your own policy)"
-        )
 
 
 class Rollout:

@@ -29,17 +29,18 @@ from renet.evaluation.results import (
     write_json,
     write_summary,
 )
-from renet.evaluation.rollout import (
+from renet.evaluation.rollout import Trial
+from renet.evaluation.settings import (
     FLAT_GROUND,
     Conditions,
     StudyMode,
-    Trial,
     check_finite,
     check_modes,
     check_speed,
 )
+from renet.evaluation.trace import Trace
 from renet.faults import FaultSchedule
-from renet.interface import Engine
+from renet.interface import CONTROL_DT, Engine, control_steps
 from renet.motor_models import IDEAL, motors_key
 from renet.terminal import ProgressLog, show
 
@@ -234,7 +235,7 @@ class Study:
         # More jobs than groups would have nothing to do.
         jobs = min(self.jobs, len(groups))
         if jobs > 1:
-            make_parts(self, groups, jobs)
+            make_parts(self.part_maker, groups, jobs)
             return
         log = ProgressLog(sum(map(len, groups)))
         for names in groups:
@@ -264,6 +265,8 @@ class WalkingStudy(Study):
     """Number of robots in each setting and mode; with `quick` always fewer."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
+    seconds: float = 8.0
+    """Length of each run, s."""
 
     quick_robots: ClassVar[int] = 5
 
@@ -273,6 +276,13 @@ class WalkingStudy(Study):
         check_speed(self.speed)
         if self.robots < 1:
             raise RenetError(f"robots must be at least 1, got {self.robots}")
+        if self.steps < 1:
+            raise RenetError(f"seconds must be at least {CONTROL_DT}, got {self.seconds}")
+
+    @property
+    def steps(self) -> int:
+        """Control steps of a run."""
+        return control_steps(self.seconds)
 
     @property
     def robots_each(self) -> int:
@@ -291,3 +301,19 @@ class WalkingStudy(Study):
         for ground, mode in product(grounds, self.modes):
             trials += self.trial_group(mode, schedule, ground)
         return trials
+
+    def walk(
+        self, evaluator: Evaluator, env: Any, trials: Sequence[Trial], title: str, **options: Any
+    ) -> Trace:
+        """Run trials, each on its ground, for the study's `seconds`.
+
+        Args:
+            evaluator: evaluator of the policy.
+            env: environment of the trials' robots, as `Evaluator.make_env` makes it.
+            trials: one for each robot.
+            title: title of the progress.
+            options: further arguments of `Rollout.run`.
+        """
+        env.place_on([trial.ground for trial in trials])
+        rollout = evaluator.rollout(env, trials, self.seed)
+        return rollout.run(self.steps, title, **options)

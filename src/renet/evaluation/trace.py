@@ -33,8 +33,6 @@ class TrueState:
 
     forward_velocity: np.ndarray
     """Base velocity along the commanded yaw, m/s."""
-    height: np.ndarray
-    """Height of the base above the ground it started on, m."""
     travelled: np.ndarray
     """Horizontal distance from where the robot last started, m."""
     collisions: np.ndarray

@@ -12,7 +12,7 @@ from renet.errors import RenetError
 from renet.faults.base import FOREVER, Fault, Frames
 from renet.faults.catalogue import FAULTS, fault_class
 from renet.faults.physical import PhysicalFault, ViewPerturbation
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, control_steps
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Injection:
         if steps < 0:
             return -1.0
         if self.period < FOREVER:
-            steps %= max(round(self.period / CONTROL_DT), 1)
+            steps %= max(control_steps(self.period), 1)
         time = steps * CONTROL_DT
         # Some faults end by themselves.
         duration = min(self.duration, FAULTS[self.fault].lasts(self.level))
@@ -91,7 +91,7 @@ def parse_fault(text: str, onset: float | None = None) -> Injection:
             "such as blackout@5s or glare:3@4s+2s"
         )
     severity = int(match["severity"] or WORST)
-    step = round(begins / CONTROL_DT)
+    step = control_steps(begins)
     duration = float(match["length"] or "inf")
     return Injection.of(match["name"], severity, step, duration)
 

@@ -59,8 +59,8 @@ def tile_row(grounds: Mapping[str, int]) -> TerrainEntityCfg:
     kinds = {}
     for kind, level in grounds.items():
         # Flat ground is rough ground of height 0.
-        tile, difficulty = find_tile("rough" if kind == "flat" else kind, level)
-        size = 0.0 if kind == "flat" else tile.measure(difficulty)
+        tile = find_tile("rough" if kind == "flat" else kind, level)
+        size = 0.0 if kind == "flat" else tile.measure_at(level)
         kinds[kind] = replace(tile, low=size, high=size, proportion=1.0, flat_start=False)
     return parkour_terrain(EVALUATION_SEED, kinds, levels=1)
 
@@ -93,7 +93,7 @@ def own_ground(tile: Tile, level: int) -> TerrainEntityCfg:
     """
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
-    size = tile.measure((level - 1) / (LEVELS - 1))
+    size = tile.measure_at(level)
     return parkour_terrain(
         EVALUATION_SEED, {OWN_GROUND: replace(tile, low=size, high=size)}, levels=1
     )

@@ -95,6 +95,11 @@ class TileBuilder:
             self.box(side, (-inner, inner), z, color)
 
 
+def difficulty_of(level: int) -> float:
+    """Return mjlab's difficulty in [0, 1] of a level from 1 to 10."""
+    return (level - 1) / (LEVELS - 1)
+
+
 @dataclass
 class Tile:
     """Base of all tiles; `low` and `high` are sizes of obstacles in m at levels 1 and 10."""
@@ -116,6 +121,10 @@ class Tile:
         if difficulty < 0.0:
             return FLAT_RELIEF
         return self.low + difficulty * (self.high - self.low)
+
+    def measure_at(self, level: int) -> float:
+        """Return the size of the obstacle at a level from 1 to 10, m."""
+        return self.measure(difficulty_of(level))
 
     def function(
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
@@ -361,15 +370,12 @@ def dense_tiles() -> dict[str, Tile]:
     }
 
 
-def find_tile(kind: str, level: int) -> tuple[Tile, float]:
-    """Find a kind of tile, and the difficulty of a level.
+def find_tile(kind: str, level: int) -> Tile:
+    """Find a kind of tile that has a level.
 
     Args:
         kind: Key of `tiles`, or `stairs`, which go down.
         level: Level from 1 to 10.
-
-    Returns:
-        The tile, and a difficulty in [0, 1].
 
     Raises:
         RenetError: There is no such kind or level.
@@ -380,4 +386,4 @@ def find_tile(kind: str, level: int) -> tuple[Tile, float]:
         raise unknown_name("terrain", kind, ("flat", *kinds))
     if not 1 <= level <= LEVELS:
         raise RenetError(f"terrain level must be 1 to {LEVELS}, got {level}")
-    return kinds[kind], (level - 1) / (LEVELS - 1)
+    return kinds[kind]

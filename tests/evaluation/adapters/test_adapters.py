@@ -5,8 +5,7 @@ import pytest
 
 from renet.bundle import pretrained, read_manifest
 from renet.evaluation.adapters import evaluator, himloco, playground, robogauge, robot_lab
-from renet.evaluation.adapters.base import Senses
-from renet.evaluation.adapters.order import LEFT_FIRST
+from renet.evaluation.adapters.base import LEFT_FIRST, Senses
 from renet.interface import JOINTS
 
 

@@ -1,6 +1,7 @@
 """Somebody else's policy as a policy of the studies."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
 
@@ -13,6 +14,7 @@ import torch
 from renet.errors import RenetError
 from renet.evaluation.adapters.evaluator import AdaptedEvaluator, find_adapter
 from renet.evaluation.adapters.options import PolicyOptions
+from renet.interface import HEADING_PROPRIOCEPTION
 
 STILL = """
 <ir_version: 8, opset_import: ["" : 17]>
@@ -50,10 +52,12 @@ def test_actions_are_those_of_the_model(still):
 
 def test_a_heading_is_told_as_a_twist(still, monkeypatch):
     evaluator = AdaptedEvaluator(still, "onnx-depth")
+    bundle = evaluator.bundle
+    manifest = replace(bundle.manifest, proprioception=HEADING_PROPRIOCEPTION)
+    evaluator.bundle = replace(bundle, manifest=manifest)
     policy = evaluator.make_policy(1)
     seen = []
     monkeypatch.setattr(policy._adapter, "act", lambda s: seen.append(s) or s.joint_position)
-    monkeypatch.setattr(policy, "_told", "heading")
     proprioception = np.zeros((1, 45), np.float32)
     proprioception[0, 6:9] = 0.6, np.sin(0.2), np.cos(0.2)
     policy.step(proprioception, np.ones((1, 48, 64), np.float32), np.zeros(1, bool))

@@ -212,7 +212,7 @@ def test_a_joined_file_walks_in_any_batch(files):
     evaluator.make_env("flat", [0, 1], 0.5, 1)
     actions = []
     for count in (1, 2):
-        evaluator._feet_contact = lambda count=count: np.ones((count, 4), bool)
+        evaluator.feet_contact = lambda count=count: np.ones((count, 4), bool)
         policy = evaluator.make_policy(count)
         policy.reset()
         rng = np.random.default_rng(0)

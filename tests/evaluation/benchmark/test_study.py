@@ -7,7 +7,7 @@ import pytest
 
 from renet.cli import main
 from renet.errors import RenetError
-from renet.evaluation.benchmark import verify as verification
+from renet.evaluation.benchmark import study as benchmark_study
 from renet.evaluation.benchmark.episodes import draw_episodes
 from renet.evaluation.benchmark.results import read_result
 from renet.evaluation.benchmark.study import BenchmarkStudy
@@ -20,7 +20,7 @@ from .rows import row
 class Walked(BenchmarkStudy):
     """Crosses everything but in every third episode, without walking."""
 
-    def walk(self, evaluator, first):
+    def walk_block(self, evaluator, first):
         episodes = draw_episodes(range(first, first + 10), self.draw_seed)
         return {
             "rows": [
@@ -70,9 +70,9 @@ def test_other_draws_leave_no_result(study, tmp_path):
 def test_a_full_run_takes_over_what_a_quick_one_walked(study, tmp_path, monkeypatch):
     study.run()
     walked = []
-    walk = Walked.walk
+    walk = Walked.walk_block
     monkeypatch.setattr(
-        Walked, "walk", lambda self, e, first: walked.append(first) or walk(self, e, first)
+        Walked, "walk_block", lambda self, e, first: walked.append(first) or walk(self, e, first)
     )
     replace(study, quick=False).run()
     assert walked == list(range(20, 200, 10))
@@ -86,9 +86,9 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
     assert not (tmp_path / "result.json").exists()
     assert "first 10 of 200 episodes" in short.tables(summary)[0][0]
     walked = []
-    walk = Walked.walk
+    walk = Walked.walk_block
     monkeypatch.setattr(
-        Walked, "walk", lambda self, e, first: walked.append(first) or walk(self, e, first)
+        Walked, "walk_block", lambda self, e, first: walked.append(first) or walk(self, e, first)
     )
     study.run()
     assert walked == [10]
@@ -138,7 +138,7 @@ def claimed(study, tmp_path):
 
 
 def test_a_true_result_holds(study, claimed):
-    assert "20 of 20 walks end as the file says" in verification.verify(study, claimed)
+    assert "20 of 20 walks end as the file says" in study.verify_result(claimed)
 
 
 def test_the_verdict_is_the_commands_last_line(claimed, tmp_path, monkeypatch):
@@ -167,20 +167,25 @@ def test_a_polished_result_does_not_hold(study, claimed):
         line["crossed"] = line["obstacles"]
     write_json(claimed, content)
     with pytest.raises(RenetError, match=r"does not hold: of episodes .* walks end otherwise"):
-        verification.verify(study, claimed)
+        study.verify_result(claimed)
 
 
 def test_a_tenth_of_the_walks_may_differ(study, claimed, monkeypatch):
-    monkeypatch.setattr(verification, "chosen_block", lambda result: 10)
+    monkeypatch.setattr(benchmark_study, "chosen_block", lambda result: 10)
     content = json.loads(claimed.read_text())
     for number in (11, 12):
         content["rows"][number]["fell"] = not content["rows"][number]["fell"]
     write_json(claimed, content)
-    assert "18 of 20 walks" in verification.verify(study, claimed)
+    assert "18 of 20 walks" in study.verify_result(claimed)
     content["rows"][13]["fell"] = not content["rows"][13]["fell"]
     write_json(claimed, content)
     with pytest.raises(RenetError, match="3 of 20 walks end otherwise, the first in episode 11"):
-        verification.verify(study, claimed)
+        study.verify_result(claimed)
+
+
+def test_a_result_without_the_policys_entries_is_refused(study, claimed):
+    with pytest.raises(RenetError, match="has none of the entries camera, healthy"):
+        replace(study, entries=("camera", "healthy")).verify_result(claimed)
 
 
 def test_a_result_of_another_policy_is_refused(study, claimed):
@@ -188,4 +193,4 @@ def test_a_result_of_another_policy_is_refused(study, claimed):
     content["policy"]["sha256"] = "f" * 64
     write_json(claimed, content)
     with pytest.raises(RenetError, match="is of the policy ffffffffffff"):
-        verification.verify(study, claimed)
+        study.verify_result(claimed)

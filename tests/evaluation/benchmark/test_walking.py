@@ -118,7 +118,6 @@ class Robot:
             depth=np.zeros((1, 48, 64)),
             angular_velocity=np.zeros((1, 3)),
             forward_velocity=0.4 * one,
-            height=one,
             travelled=one,
             collisions=0 * one,
             power=100.0 * one,

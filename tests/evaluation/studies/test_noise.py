@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from renet.errors import RenetError
-from renet.evaluation.figures import noise_label
 from renet.evaluation.studies.faults import Setting
-from renet.evaluation.studies.noise import NoiseStudy
+from renet.evaluation.studies.noise import NoiseStudy, noise_label
 from renet.faults import FAULTS
 
 from ..fakes import SPEED, FakeEvaluator

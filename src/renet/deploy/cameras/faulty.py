@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.faults import Frames, Injection, Injector, ViewPerturbation
-from renet.interface import CONTROL_DT, TICK_DT
+from renet.interface import CONTROL_DT, TICK_DT, control_steps
 
 
 class FaultyCamera(Camera):
@@ -84,4 +84,4 @@ class FaultyCamera(Camera):
 
     def _step(self, time: float) -> int:
         """Return the number of control steps from the first call of `latest` to a time, s."""
-        return max(round((time - (self._begun or 0.0)) / CONTROL_DT), 0)
+        return max(control_steps(time - (self._begun or 0.0)), 0)

@@ -50,6 +50,29 @@ def image_scores(
         RenetError: There are too few images, one cannot be read, sizes differ, the lens sees too
             little, or no walking robot sees such depths.
     """
+    paths = image_paths(folder)
+    camera = _intrinsics(read_image(paths[0]).shape, lens, upside_down)
+    preprocessor = DepthPreprocessor(camera, bundle.manifest.camera)
+    judge = _ImageJudge(bundle)
+    rows = []
+    medians = []
+    total = np.zeros(DEPTH_SHAPE)
+    for path in paths:
+        pixels = read_image(path)
+        image = preprocessor.image(pixels * scale)
+        rows.append(judge.scores(image, preprocessor.invalid(pixels)))
+        total += image
+        medians.append(np.median(pixels[pixels > 0]) * scale if pixels.any() else np.nan)
+    _check_scale(medians)
+    robot = bundle.manifest.robot.name
+    if problem := view_problem(total / len(paths), bundle.manifest.camera, robot):
+        raise RenetError(problem)
+    columns = np.array(rows[2:]).T
+    return {name: [column] for name, column in zip(OF_IMAGES, columns, strict=True)}
+
+
+def image_paths(folder: Path) -> list[Path]:
+    """Return the PNG files of a folder by name; raises RenetError if they are too few."""
     paths = sorted(folder.glob("*.png"))
     least = round(60.0 * MIN_MINUTES / TICK_DT)
     if len(paths) < least:
@@ -57,40 +80,46 @@ def image_scores(
             f"{folder} holds {len(paths)} PNG images; calibration needs at least {least}"
             f" ({MIN_MINUTES:g} minutes, one image every {TICK_DT:g} s)"
         )
-    vision = bundle.sessions["vision"]
-    scorer = Scorer(1)
-    # Policies without a variance have the other score alone.
-    outputs = {output.name for output in vision.get_outputs()}
-    names = [name for name in ("anomaly_score", "variance_score") if name in outputs]
-    # Inputs that the scores of images alone do not depend on.
-    unknown: dict[str, np.ndarray] = {}
-    for name, shape in known_shapes(vision, bundle.manifest.history).items():
-        unknown[name] = np.zeros((1, *shape), np.float32)
-    preprocessor: DepthPreprocessor | None = None
-    newest = np.zeros(0)
-    rows = []
-    medians = []
-    total = np.zeros(DEPTH_SHAPE)
-    for path in paths:
-        pixels = read_image(path)
-        if preprocessor is None:
-            camera = _intrinsics(pixels.shape, lens, upside_down)
-            preprocessor = DepthPreprocessor(camera, bundle.manifest.camera)
-        older = newest
-        newest = preprocessor.image(pixels * scale)[None]
-        # Vision judges pairs, the newest image first; the first image has no other.
-        pair = np.stack((newest, older if older.size else newest), axis=1)
-        scores = dict(zip(names, vision.run(names, {"depth": pair} | unknown), strict=True))
+    return paths
+
+
+class _ImageJudge:
+    """Scores of the image monitors for one image after the other."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._vision = bundle.sessions["vision"]
+        self._scorer = Scorer(1)
+        outputs = {output.name for output in self._vision.get_outputs()}
+        # Policies without a variance have the other score alone.
+        self._outputs = [name for name in ("anomaly_score", "variance_score") if name in outputs]
+        self._unknown: dict[str, np.ndarray] = {}
+        """Inputs of the vision model that the scores of images alone do not depend on."""
+        for name, shape in known_shapes(self._vision, bundle.manifest.history).items():
+            self._unknown[name] = np.zeros((1, *shape), np.float32)
+        self._previous: np.ndarray | None = None
+        """The image before the newest, [1, 48, 64]."""
+
+    def scores(self, image: np.ndarray, invalid: float) -> np.ndarray:
+        """Score an image [48, 64] with a share of invalid pixels: [monitors of `OF_IMAGES`]."""
+        newest = image[None]
+        # The first image has none before it.
+        previous = newest if self._previous is None else self._previous
+        self._previous = newest
+        # Vision judges pairs, the newest image first.
+        feed = {"depth": np.stack((newest, previous), axis=1)} | self._unknown
+        scores = dict(zip(self._outputs, self._vision.run(self._outputs, feed), strict=True))
         seen = SelectorInput(
             anomaly_score=scores["anomaly_score"].reshape(-1),
             variance_score=scores.get("variance_score", np.zeros(1)).reshape(-1),
             image=newest,
             fresh=np.ones(1, bool),
-            invalid=np.array([preprocessor.invalid(pixels)]),
+            invalid=np.array([invalid]),
         )
-        rows.append(scorer.scores(seen, OF_IMAGES)[:, 0])
-        total += newest[0]
-        medians.append(np.median(pixels[pixels > 0]) * scale if pixels.any() else np.nan)
+        return self._scorer.scores(seen, OF_IMAGES)[:, 0]
+
+
+def _check_scale(medians: list[float]) -> None:
+    """Raise RenetError if no walking robot's images have such median depths, m; NaN for none."""
     # Metres and millimetres are easily mistaken for each other.
     median = float(np.nanmedian(medians)) if np.isfinite(medians).any() else 0.0
     if not _MEDIAN_RANGE[0] <= median <= _MEDIAN_RANGE[1]:
@@ -98,11 +127,6 @@ def image_scores(
             f"the images' median depth is {median:g} m: give --scale, the metres of one step of"
             " their values (0.001 for millimetres)"
         )
-    robot = bundle.manifest.robot.name
-    if problem := view_problem(total / len(paths), bundle.manifest.camera, robot):
-        raise RenetError(problem)
-    columns = np.array(rows[2:]).T
-    return {name: [column] for name, column in zip(OF_IMAGES, columns, strict=True)}
 
 
 def _intrinsics(

@@ -18,7 +18,7 @@ from renet.deploy.robots.base import heading
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT, OWN_GROUND
+from renet.interface import CONTROL_DT, OWN_GROUND, control_steps
 from renet.palette import STATES
 from renet.selector.selector import BLIND, SEES
 
@@ -188,10 +188,10 @@ def sunk_in_gap(run: Recording) -> np.ndarray:
     if not isinstance(level, int) or not on_gap or not len(ticks) or not simulated(ticks):
         return np.zeros(len(ticks), bool)
     # Needs MuJoCo, which may not be installed on a robot.
-    from renet.terrain.tiles import LEVELS, GapTile
+    from renet.terrain.tiles import GapTile
 
     tile = GapTile()
-    outer = tile.island + tile.measure((level - 1) / (LEVELS - 1))
+    outer = tile.island + tile.measure_at(level)
     position = ticks["base_position"]
     # The gap is a square ring around the start.
     ring = np.abs(position[:, :2]).max(axis=1)
@@ -241,7 +241,7 @@ def fallen(ticks: np.ndarray, lean: float = 60.0) -> np.ndarray:
     # A single reading may be a wrong one: its neighbours decide.
     leaning[1:-1] &= leaning[:-2] | leaning[2:]
     height = ticks["base_position"][:, 2]
-    dropped = height[np.maximum(rows - round(1.0 / CONTROL_DT), 0)] - height > _DROP
+    dropped = height[np.maximum(rows - control_steps(1.0), 0)] - height > _DROP
     # Row of the last reading up to each tick.
     return leaning[np.maximum.accumulate(np.where(measured, rows, 0))] | dropped
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -19,7 +19,7 @@ from renet.evaluation.adapters.base import Adapter, Senses
 from renet.evaluation.adapters.models import MAX_POLICY_SIZE, MisfitError, Model, open_model
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import Provenance
-from renet.evaluation.rollout import Conditions
+from renet.evaluation.settings import Conditions
 from renet.files import read_bytes
 from renet.interface import (
     ACTION_SIZE,
@@ -134,31 +134,11 @@ def _act(adapter: Adapter, senses: Senses) -> np.ndarray:
 class AdaptedPolicy:
     """An adapter with the interface of `renet.pilot.policy.Policy`."""
 
-    def __init__(
-        self,
-        adapter: Adapter,
-        robot: Robot,
-        told: str,
-        default_position: np.ndarray,
-        velocity: Callable[[], np.ndarray],
-        feet_contact: Callable[[], np.ndarray],
-    ) -> None:
-        """Wrap an adapter.
-
-        Args:
-            adapter: adapter of N robots.
-            robot: the robot in the scene.
-            told: form of the bundle's commands, see `interface.TOLD`.
-            default_position: default joint positions, [12] rad.
-            velocity: returns the base's true velocity, [N, 3] m/s.
-            feet_contact: returns the feet on the ground, [N, 4] bool.
-        """
+    def __init__(self, adapter: Adapter, evaluator: AdaptedEvaluator) -> None:
+        """Wrap an adapter of N robots, those of the evaluator's newest environment."""
         self._adapter = adapter
-        self._robot = robot
-        self._told = told
-        self._default = default_position
-        self._velocity = velocity
-        self._feet_contact = feet_contact
+        self._evaluator = evaluator
+        self._action_scale = np.float32(evaluator.robot.action_scale)
         self.anomaly_score = np.zeros(adapter.num_robots)
 
     def reset(self, mask: np.ndarray | None = None) -> None:
@@ -186,21 +166,23 @@ class AdaptedPolicy:
         for name, place in _SLICES.items():
             reading[name] = proprioception[:, place] / _SCALES[name]
         command = reading["command"]
-        if self._told == "heading":
+        evaluator = self._evaluator
+        if evaluator.bundle.manifest.told == "heading":
             command = _twist(command)
         senses = Senses(
             angular_velocity=reading["base_angular_velocity"],
             gravity=reading["projected_gravity"],
             command=command,
-            joint_position=reading["joint_position"] + self._default,
+            joint_position=reading["joint_position"] + evaluator.default_position,
             joint_velocity=reading["joint_velocity"],
             depth=depth * DEPTH_RANGE,
-            velocity=self._velocity(),
-            feet_contact=self._feet_contact(),
+            velocity=evaluator.velocity(),
+            feet_contact=evaluator.feet_contact(),
         )
         target = _act(self._adapter, senses)
         # A study's action is an offset from the default position in units of the action scale.
-        return (target - self._default).astype(np.float32) / np.float32(self._robot.action_scale)
+        offset = (target - evaluator.default_position).astype(np.float32)
+        return offset / self._action_scale
 
 
 def _twist(heading: np.ndarray) -> np.ndarray:
@@ -252,7 +234,7 @@ class AdaptedEvaluator(Evaluator):
             angular_velocity=still,
             gravity=np.array([[0.0, 0.0, -1.0]], np.float32),
             command=still,
-            joint_position=zero + self._default,
+            joint_position=zero + self.default_position,
             joint_velocity=zero,
             depth=np.full((1, 48, 64), DEPTH_RANGE, np.float32),
             velocity=still,
@@ -270,7 +252,7 @@ class AdaptedEvaluator(Evaluator):
             return self.adapter(model, num_robots)
 
     @cached_property
-    def _default(self) -> np.ndarray:
+    def default_position(self) -> np.ndarray:
         """Default joint positions, the zero of the proprioception's, [12] rad."""
         return np.asarray(self.bundle.manifest.robot.arrays["default_position"], np.float32)
 
@@ -282,18 +264,15 @@ class AdaptedEvaluator(Evaluator):
 
     def make_policy(self, num_robots: int) -> AdaptedPolicy:
         """Make the policy for N robots of the newest environment."""
-        adapter = self._make_adapter(num_robots)
-        told = self.bundle.manifest.told
-        truths = self._velocity, self._feet_contact
-        return AdaptedPolicy(adapter, self.robot, told, self._default, *truths)
+        return AdaptedPolicy(self._make_adapter(num_robots), self)
 
-    def _velocity(self) -> np.ndarray:
+    def velocity(self) -> np.ndarray:
         """True velocity of the newest environment's robots, [N, 3] m/s; empty if not needed."""
         if not self.adapter.needs_velocity:
             return np.zeros((0, 3))
         return self.env.observation["velocity"].numpy()
 
-    def _feet_contact(self) -> np.ndarray:
+    def feet_contact(self) -> np.ndarray:
         """Feet of the newest environment's robots on the ground, [N, 4] bool; empty if unneeded."""
         if not self.adapter.needs_feet_contact:
             return np.zeros((0, 4), bool)

@@ -8,7 +8,6 @@ import numpy as np
 
 from renet.evaluation.adapters import base
 from renet.evaluation.adapters.models import Model
-from renet.evaluation.adapters.order import LEFT_FIRST
 
 _COMMAND_SCALE = np.array((2.0, 2.0, 0.25), np.float32)
 """Factors of v_x, v_y and omega_z in the observation."""
@@ -44,8 +43,8 @@ class Adapter(base.OffsetAdapter):
                 senses.command * _COMMAND_SCALE,
                 senses.angular_velocity * 0.25,
                 senses.gravity,
-                senses.joint_position[:, LEFT_FIRST] - self.pose,
-                senses.joint_velocity[:, LEFT_FIRST] * 0.05,
+                senses.joint_position[:, base.LEFT_FIRST] - self.pose,
+                senses.joint_velocity[:, base.LEFT_FIRST] * 0.05,
                 self._action,
             ),
             axis=1,
@@ -57,4 +56,4 @@ class Adapter(base.OffsetAdapter):
         self._blank[:] = False
         self._action = self.model.run(self._history.reshape(self.num_robots, -1))[0]
         # The order of legs is its own inverse.
-        return self._target()[:, LEFT_FIRST]
+        return self._target()[:, base.LEFT_FIRST]

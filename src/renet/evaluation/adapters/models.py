@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, Protocol
@@ -57,6 +57,32 @@ def open_model(path: Path) -> Model:
 
 class MisfitError(RenetError):
     """A model does not fit the adapter that runs it."""
+
+
+def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise RenetError unless an ONNX policy has the inputs and outputs of a study.
+
+    Args:
+        path: file of the policy, for the message.
+        nodes: inputs and outputs of its session, with N robots as their first dimension.
+        shapes: shapes needed for one robot, by name.
+    """
+    batched = True
+    row_shapes = {}
+    present = []
+    for node in nodes:
+        shape = list(node.shape)
+        # A dimension with a number instead of a name is a fixed batch size.
+        batched &= bool(shape) and not isinstance(shape[0], int)
+        row_shapes[node.name] = tuple(shape[1:])
+        present.append(f"{node.name} {shape}")
+    if row_shapes != shapes or not batched:
+        raise RenetError(
+            f"{path} has {', '.join(present)}; a study"
+            " gives proprioception [N, 45] (no base velocity) and depth [N, 48, 64] in [0, 1], and"
+            " holds the joint targets of actions [N, 12] with gains 40 and 1: compute what else the"
+            " model needs in the policy's `step` (docs/measure.md, Your own policy)"
+        )
 
 
 def _line(error: Exception, number: int) -> str:

@@ -7,7 +7,6 @@ robogauge/tasks/robots/go2 defines the inputs.
 import numpy as np
 
 from renet.evaluation.adapters import base
-from renet.evaluation.adapters.order import LEFT_FIRST
 
 _COMMAND_SCALE = np.array((2.0, 2.0, 0.25), np.float32)
 """Factors of v_x, v_y and omega_z in the observation."""
@@ -36,8 +35,8 @@ class Adapter(base.OffsetAdapter):
                 senses.angular_velocity * 0.25,
                 senses.gravity,
                 senses.command * _COMMAND_SCALE,
-                senses.joint_position[:, LEFT_FIRST] - self.pose,
-                senses.joint_velocity[:, LEFT_FIRST] * 0.05,
+                senses.joint_position[:, base.LEFT_FIRST] - self.pose,
+                senses.joint_velocity[:, base.LEFT_FIRST] * 0.05,
                 self._action,
             ),
             axis=1,
@@ -47,4 +46,4 @@ class Adapter(base.OffsetAdapter):
         for robot, row in enumerate(observation):
             rows.append(self.model.run(row[None], robot=robot)[0])
         self._action = np.concatenate(rows)
-        return self._target()[:, LEFT_FIRST]
+        return self._target()[:, base.LEFT_FIRST]

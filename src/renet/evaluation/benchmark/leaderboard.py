@@ -22,7 +22,7 @@ from renet.evaluation.benchmark.scores import (
     score_rows,
 )
 from renet.evaluation.metrics import share_interval
-from renet.evaluation.results import Table, column, markdown
+from renet.evaluation.results import Table, as_text, column, markdown
 from renet.files import write_atomically
 from renet.terminal import show
 
@@ -153,7 +153,7 @@ def _line(place: int, entry: LeaderboardEntry, reference: LeaderboardEntry) -> t
         entry.method,
         entry.name,
         entry.robot,
-        _percent(entry.scores["score"]),
+        as_text(entry.scores["score"], ".1f", 100),
         _interval(100 * low, 100 * high, ".1f"),
         over,
         difference,
@@ -173,8 +173,8 @@ def measures(results: Sequence[Result]) -> Table:
         scores = entry.scores
         cells = []
         for name in _MEASURES:
-            text = _percent if name in _SHARES else _number
-            cells.append(text(scores[name]))
+            share = name in _SHARES
+            cells.append(as_text(scores[name], ".1f" if share else ".3g", 100 if share else 1))
         rows.append((entry.method, entry.name, *cells))
     # All entries walk the same episodes.
     episodes = entries[0].trainings[0]
@@ -218,17 +218,7 @@ def family_table(result: Result) -> Table:
     first = next(iter(scores.values()))
     rows = []
     for family in sorted(first):
-        shares = [_percent(families[family]["score"]) for families in scores.values()]
+        shares = [as_text(families[family]["score"], ".1f", 100) for families in scores.values()]
         rows.append((family, *shares, first[family]["episodes"]))
     title = f"{result['policy']['name']}: crossed by family, %"
     return title, ("family", *scores, "episodes"), rows
-
-
-def _percent(share: float | None) -> str:
-    """A share in per cent, or a dash."""
-    return "-" if share is None else f"{100 * share:.1f}"
-
-
-def _number(value: float | None) -> str:
-    """A number with three digits, or a dash."""
-    return "-" if value is None else f"{value:.3g}"

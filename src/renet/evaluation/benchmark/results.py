@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from renet.errors import RenetError, printable
-from renet.evaluation.benchmark.episodes import EPISODES, QUICK_EPISODES, SEALED_EPISODES, SEED
+from renet.evaluation.benchmark.episodes import EPISODES, QUICK_EPISODES, SEALED_EPISODES
 from renet.evaluation.benchmark.scores import EpisodeRow
 from renet.evaluation.results import column, read_results, select
 
@@ -94,9 +94,3 @@ def read_result(path: Path) -> dict[str, Any]:
 def rows_of_entry(result: Mapping[str, Any], entry: str) -> Sequence[EpisodeRow]:
     """Rows of one entry of a result file."""
     return select(result["rows"], entry=entry)
-
-
-def demand_version_seed(seed: int) -> None:
-    """Raise RenetError unless episodes are drawn with the version's seed."""
-    if seed != SEED:
-        raise RenetError(f"episodes of seed {seed} are not those of version {BENCHMARK_VERSION}")

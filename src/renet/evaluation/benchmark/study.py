@@ -16,10 +16,11 @@ from renet.evaluation.benchmark.episodes import EPISODES, EPISODES_PER_BLOCK, SE
 from renet.evaluation.benchmark.families import SealedFaults
 from renet.evaluation.benchmark.leaderboard import counts, family_table, measures, ranking
 from renet.evaluation.benchmark.modes import DEFAULT_ENTRIES, ROLLOUT_MODES, EntryName
-from renet.evaluation.benchmark.results import SETS, demand_version_seed, make_result
-from renet.evaluation.benchmark.scores import EpisodeRow, by_family, rows_of, score_rows
-from renet.evaluation.results import group_by, write_json
-from renet.evaluation.rollout import Conditions
+from renet.evaluation.benchmark.results import BENCHMARK_VERSION, SETS, make_result, read_result
+from renet.evaluation.benchmark.scores import EpisodeRow, rows_of, score_rows
+from renet.evaluation.benchmark.verify import check_origin, chosen_block, compare
+from renet.evaluation.results import group_by, plain, write_json
+from renet.evaluation.settings import Conditions
 from renet.evaluation.study import Part, Study, Table
 from renet.files import remove
 from renet.motor_models import IDEAL
@@ -81,8 +82,10 @@ class BenchmarkStudy(Study, PolicyOptions):
             raise RenetError(f"draw seed must be at least 0, got {self.draw_seed}")
         if self.sealed is not None and self.quick:
             raise RenetError("give --sealed or --quick, not both")
-        if self.sealed is not None:
-            demand_version_seed(self.draw_seed)
+        if self.sealed is not None and self.draw_seed != SEED:
+            raise RenetError(
+                f"episodes of seed {self.draw_seed} are not those of version {BENCHMARK_VERSION}"
+            )
         self._check_episodes()
 
     def _check_episodes(self) -> None:
@@ -150,10 +153,10 @@ class BenchmarkStudy(Study, PolicyOptions):
         numbers = SETS[self.episode_set] if self.episodes is None else range(self.episodes)
         parts = {}
         for first in range(numbers.start, numbers.stop, EPISODES_PER_BLOCK):
-            parts[f"episodes_{first:03d}"] = partial(self.walk, evaluator, first)
+            parts[f"episodes_{first:03d}"] = partial(self.walk_block, evaluator, first)
         return parts
 
-    def walk(self, evaluator: Evaluator, first: int) -> Part:
+    def walk_block(self, evaluator: Evaluator, first: int) -> Part:
         """Walk a block of episodes, beginning with the number `first`."""
         from renet.evaluation.benchmark.walking import walk_episodes
 
@@ -174,13 +177,10 @@ class BenchmarkStudy(Study, PolicyOptions):
         # By entry, each with the episodes of all blocks.
         runs: list[EpisodeRow] = []
         scores = {}
-        families = {}
         for (entry,), group in group_by(rows, "entry").items():
             runs += group
             scores[entry] = score_rows(group)
-            families[entry] = by_family(group)
-        robot = evaluator.robot.name
-        return {"runs": runs, "scores": scores, "families": families, "robot": robot}
+        return {"runs": runs, "scores": scores, "robot": evaluator.robot.name}
 
     def run(self, evaluator: Evaluator | None = None) -> dict[str, Any]:
         """Run the study; writes result.json as well for one of the version's sets of episodes."""
@@ -209,6 +209,16 @@ class BenchmarkStudy(Study, PolicyOptions):
         """
         if self.verify is None:
             return super().main()
-        from renet.evaluation.benchmark.verify import verify
+        return self.verify_result(self.verify)
 
-        return verify(self, self.verify)
+    def verify_result(self, path: Path) -> str:
+        """Walk a block of a result again; returns a sentence with the number of walks that agree.
+
+        Raises RenetError if the result is of another policy, or does not agree.
+        """
+        result = read_result(path)
+        evaluator = self.make_evaluator()
+        sha256 = evaluator.provenance(self.seed).bundle_hash
+        check_origin(result, path, sha256, self.sealed is not None, list(self.modes(evaluator)))
+        block = self.walk_block(evaluator, chosen_block(result))
+        return compare(result, path, plain(block)["rows"])

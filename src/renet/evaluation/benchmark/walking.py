@@ -22,7 +22,7 @@ from renet.evaluation.rollout import Trial
 from renet.evaluation.trace import StepResult
 from renet.faults import Frames, PhysicalFault, ViewPerturbation
 from renet.faults.base import Fault
-from renet.interface import CONTROL_DT
+from renet.interface import CONTROL_DT, control_steps
 from renet.robots import Robot
 from renet.tasks import RenetEnvCfg
 from renet.tasks.mdp.commands import goal
@@ -393,7 +393,7 @@ def _walk_on(
         failing += [None] * count if entry == HEALTHY else episodes
     rollout = evaluator.rollout(env, trials, seed)
     rollout.injector = PlacedFaults(env, failing, seed, sealed)
-    steps = round(max(episode.seconds for episode in episodes) / CONTROL_DT) + 1
+    steps = control_steps(max(episode.seconds for episode in episodes)) + 1
     rollout.run(steps, title, until_ended=1, retire=True)
     walks = {}
     for place, entry in enumerate(modes):

@@ -16,12 +16,13 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.rollout import StudyMode, check_names, robot_numbers
+from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.settings import StudyMode, check_names
+from renet.evaluation.studies.grounds import EDGES, one_tile_cfg, start_facing
 from renet.evaluation.studies.memory import DEAD_CAMERA
-from renet.evaluation.studies.one_try import EDGES, one_tile_cfg, start_facing
 from renet.evaluation.study import Part, Table, WalkingStudy
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, MAX_REVERSE
+from renet.interface import MAX_REVERSE
 from renet.terrain.tiles import tiles
 
 if TYPE_CHECKING:
@@ -50,8 +51,6 @@ class BackingStudy(WalkingStudy):
     speed: float = 0.4
     """Commanded speed, m/s, backward; at most 0.6."""
     modes: tuple[StudyMode, ...] = ("memory",)
-    seconds: float = 8.0
-    """Length of each run, s."""
 
     name: ClassVar[str] = "backing"
     quick_robots: ClassVar[int] = 6
@@ -87,9 +86,7 @@ class BackingStudy(WalkingStudy):
         def watch(step: int) -> None:
             positions.append(sensor.read().position[:, 0])
 
-        rollout = evaluator.rollout(env, trials, self.seed)
-        steps = round(self.seconds / CONTROL_DT)
-        trace = rollout.run(steps, f"{kind}, backward", on_step=watch)
+        trace = self.walk(evaluator, env, trials, f"{kind}, backward", on_step=watch)
         backed, fell = outcomes(np.stack(positions), trace.ended)
         runs = []
         robots = np.arange(len(trials)).reshape(len(self.modes), -1)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -20,8 +19,9 @@ from scipy.stats import binomtest, fisher_exact
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by, select
-from renet.evaluation.rollout import FLAT_GROUND, EvalEnv, StudyMode, Trial
-from renet.evaluation.studies.one_try import LevelStudy
+from renet.evaluation.rollout import EvalEnv, Trial, robot_numbers
+from renet.evaluation.settings import FLAT_GROUND, StudyMode
+from renet.evaluation.studies.grounds import LevelStudy
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import StepResult
 from renet.terrain.tiles import tiles
@@ -127,9 +127,10 @@ class CameraUseStudy(LevelStudy):
         each = self.robots_each
         views = np.repeat(list(VIEWS), each).tolist()
         trials = [Trial(self.modes[0], (), row % each, kind) for row in range(len(views))]
-        shown = partial(ShownImages, views=views, each=each)
+        env = evaluator.make_env({kind: level}, robot_numbers(trials), self.speed, self.seed)
         # Robots are not retired: others are shown their images.
-        trace = self.walk(evaluator, {kind: level}, trials, title, retire=False, view=shown)
+        shown = ShownImages(env, views, each)
+        trace = self.walk(evaluator, shown, trials, title, until_ended=1)
         groups = dict(zip(VIEWS, trace.groups(each), strict=True))
         healthy = groups["healthy"]
         part: Part = {}

@@ -19,10 +19,11 @@ from matplotlib.figure import Figure
 
 from renet.errors import RenetError
 from renet.evaluation import figures
-from renet.evaluation.results import column, select
-from renet.evaluation.rollout import FLAT_GROUND, StudyMode, robot_numbers
+from renet.evaluation.results import as_text, column, select
+from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.settings import FLAT_GROUND, StudyMode
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
-from renet.interface import CONTROL_DT
+from renet.interface import control_steps
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -98,10 +99,9 @@ class CommandStudy(WalkingStudy):
             motions.append(sensor.read())
 
         env.follow(commands)
-        rollout = evaluator.rollout(env, trials, self.seed)
-        steps = round(self.seconds / CONTROL_DT)
-        trace = rollout.run(steps, f"{len(trials)} robots follow commands", on_step=watch)
-        settled = round(_SETTLE_TIME / CONTROL_DT)
+        title = f"{len(trials)} robots follow commands"
+        trace = self.walk(evaluator, env, trials, title, on_step=watch)
+        settled = control_steps(_SETTLE_TIME)
         fell = np.any(trace.fell, axis=0)
         runs = []
         robots = np.arange(len(trials)).reshape(-1, each)
@@ -117,10 +117,6 @@ class CommandStudy(WalkingStudy):
             runs.append(row | summary_of(motions[settled:], upright, np.array(command)))
         return {"runs": runs}
 
-    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The rows."""
-        return {"runs": parts["runs"]["runs"], "settle_s": _SETTLE_TIME}
-
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure commands.png: velocities asked for and done."""
         return {"commands.png": asked_and_done(summary["runs"], self.modes)}
@@ -133,10 +129,8 @@ class CommandStudy(WalkingStudy):
             asked = " ".join(f"{value:g}" for value in run["command"])
             done = "-" if run["done"] is None else " ".join(f"{v:.2f}" for v in run["done"])
             falls = f"{run['falls']} of {run['robots']}"
-            row = [run["mode"], asked, done, falls]
-            for name in ("drift_m", "power", "peak_torque"):
-                row.append("-" if run[name] is None else f"{run[name]:.2f}")
-            rows.append(tuple(row))
+            measured = [as_text(run[name], ".2f") for name in ("drift_m", "power", "peak_torque")]
+            rows.append((run["mode"], asked, done, falls, *measured))
         title = (
             "Commands on flat ground: m/s ahead, m/s left, rad/s; drift in m after 5 m; mean power"
         )

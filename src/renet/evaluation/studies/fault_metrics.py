@@ -16,7 +16,7 @@ from renet.evaluation.results import group_by
 from renet.evaluation.studies.fault_settings import Setting
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, STEPS_PER_TICK, control_steps
 from renet.terrain.tiles import TILE
 
 _SHARES = ("crossed", "upright")
@@ -119,7 +119,7 @@ def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
 def end_of(setting: Setting, over: int) -> int:
     """Control step at which a fault is over, by itself or because the study ends it at `over`."""
     lasts = fault_class(setting.fault).lasts(setting.level)
-    return over if np.isinf(lasts) else min(over, setting.step + round(lasts / CONTROL_DT))
+    return over if np.isinf(lasts) else min(over, setting.step + control_steps(lasts))
 
 
 def survival(trace: Trace, until: int) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def survival(trace: Trace, until: int) -> dict[str, Any]:
     A fallen robot counts with a speed of zero; one that has left its tile counts until then.
     """
     upright = ~trace.fallen[-1]
-    last = slice(max(until - round(3.0 / CONTROL_DT), 0), until)
+    last = slice(max(until - control_steps(3.0), 0), until)
     # [steps, N] bool: steps that count.
     counted = (~trace.over | trace.fallen)[last]
     walked = counted.any(axis=0)

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from renet.faults import Injection, fault_class
-from renet.interface import CONTROL_DT, Terrain
+from renet.interface import Terrain, control_steps
 
 FAULT_GROUNDS: dict[Terrain, int] = {
     "flat": 1,
@@ -62,7 +62,7 @@ class Setting(NamedTuple):
     @property
     def step(self) -> int:
         """Control step at which the fault begins."""
-        return round(self.onset / CONTROL_DT)
+        return control_steps(self.onset)
 
     @property
     def level(self) -> float:

@@ -23,7 +23,8 @@ from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.monitor_log import MonitorLog, healthy_series, replay_selector
 from renet.evaluation.results import group_by, select
-from renet.evaluation.rollout import FLAT_GROUND, Trial, check_grounds, robot_numbers
+from renet.evaluation.rollout import Trial, robot_numbers
+from renet.evaluation.settings import FLAT_GROUND, check_grounds
 from renet.evaluation.studies import fault_metrics
 from renet.evaluation.studies.fault_findings import findings
 from renet.evaluation.studies.fault_settings import FAULT_GROUNDS, LISTED, ONSETS, Setting
@@ -31,7 +32,7 @@ from renet.evaluation.study import Figures, MakeEnv, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES, fault_class
 from renet.faults.physical import Glass
-from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain
+from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain, control_steps
 from renet.selector.calibration import decluster
 
 if TYPE_CHECKING:
@@ -140,9 +141,9 @@ class FaultStudy(WalkingStudy):
         return self.onsets[-1:] if self.quick else self.onsets
 
     @property
-    def steps(self) -> int:
-        """Control steps of a run."""
-        return round(self.seconds / CONTROL_DT)
+    def least_steps(self) -> int:
+        """Control steps after which a run ends as soon as all first tries are over."""
+        return control_steps(max(self.onsets) + self.lasts) + STEPS_PER_TICK
 
     @property
     def vision_modes(self) -> list[str]:
@@ -165,13 +166,12 @@ class FaultStudy(WalkingStudy):
         task = FLAT_GROUND if self.grounds == (FLAT_GROUND,) else self.levels
         return evaluator.make_env(task, robots, self.speed, self.seed)
 
-    def walk(self, evaluator: Evaluator, env: SimEnv, title: str, trials: Sequence[Trial]) -> Trace:
+    def walk(
+        self, evaluator: Evaluator, env: Any, trials: Sequence[Trial], title: str, **options: Any
+    ) -> Trace:
         """Run trials, each on its ground, until all first tries are over."""
-        if self.grounds != (FLAT_GROUND,):
-            env.place_on([trial.ground for trial in trials])
-        least = round((max(self.onsets) + self.lasts) / CONTROL_DT) + STEPS_PER_TICK
-        rollout = evaluator.rollout(env, trials, self.seed)
-        return rollout.run(self.steps, title, until_ended=least, retire=self.retires)
+        options |= {"until_ended": self.least_steps, "retire": self.retires}
+        return super().walk(evaluator, env, trials, title, **options)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part for each fault, one without faults, and one of healthy walking."""
@@ -220,7 +220,7 @@ class FaultStudy(WalkingStudy):
         everybody = list(chain(*trials.values()))
         title = f"{list(self.batches).index(names[-1]) + 1}/{len(self.batches)} {names[-1]}"
         env = make_env(tuple(robot_numbers(everybody)))
-        trace = self.walk(evaluator, env, title, everybody)
+        trace = self.walk(evaluator, env, everybody, title)
         # What mode switch would have answered to the same images.
         paper = replay_selector(evaluator.make_selector("switch", len(everybody)), trace.anomaly)
         parts = {}
@@ -243,7 +243,7 @@ class FaultStudy(WalkingStudy):
         runs = []
         for number, (setting, _) in enumerate(self.groups(self.batches[name])):
             rows = slice(number * each, (number + 1) * each)
-            over = setting.step + round(self.lasts / CONTROL_DT)
+            over = setting.step + control_steps(self.lasts)
             end = fault_metrics.end_of(setting, over)
             group = trace.robots(rows)
             run = fault_metrics.survival(group, over)
@@ -265,15 +265,15 @@ class FaultStudy(WalkingStudy):
         each = self.robots_each
         trials = self.trials_on(self.grounds)
         env = make_env(tuple(robot_numbers(trials)))
-        trace = self.walk(evaluator, env, "no fault", trials)
+        trace = self.walk(evaluator, env, trials, "no fault")
         runs = []
-        until = round((max(self.onsets) + self.lasts) / CONTROL_DT)
+        until = control_steps(max(self.onsets) + self.lasts)
         for trial, group in zip(trials[::each], trace.groups(each), strict=True):
             level = self.levels[trial.ground]
             labels = {"mode": trial.mode, "ground": trial.ground, "ground_level": level}
             values = {}
             for onset in self.onsets:
-                values[str(onset)] = self.measures(group, round(onset / CONTROL_DT))
+                values[str(onset)] = self.measures(group, control_steps(onset))
             runs.append(labels | fault_metrics.survival(group, until) | {"values": values})
         # False switches are counted on the first ground in mode memory only: with healthy cameras
         # the robots of the other modes walk alike, and would count again.
@@ -289,7 +289,7 @@ class FaultStudy(WalkingStudy):
         """Walk in mode memory with healthy cameras, where leaving vision is a false switch."""
         minutes = self.healthy_minutes / (4 if self.quick else 1)
         robots = min(HEALTHY_ROBOTS, max(1, round(minutes)))
-        steps = max(round(60 * minutes / robots / CONTROL_DT), STEPS_PER_TICK)
+        steps = max(control_steps(60 * minutes / robots), STEPS_PER_TICK)
         # Robots that neither the calibration nor the faults had.
         seed = self.seed + 1000
         env = evaluator.make_env(FLAT_GROUND, range(robots), self.speed, seed)
@@ -336,7 +336,6 @@ class FaultStudy(WalkingStudy):
             "healthy": healthy,
             "beta": evaluator.beta,
             "robots": self.robots_each,
-            "run_seconds": self.steps * CONTROL_DT,
         }
 
     def _row(self, setting: Setting, mode: str, runs: Rows, twins: Rows) -> dict[str, Any]:

@@ -21,9 +21,10 @@ import scipy
 from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
-from renet.evaluation.rollout import StudyMode, check_grounds, robot_numbers
+from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.settings import StudyMode, check_grounds
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
-from renet.interface import CONTROL_DT, PHYSICS_DT, PROPRIOCEPTION, Terrain
+from renet.interface import PHYSICS_DT, PROPRIOCEPTION, Terrain, control_steps
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -146,8 +147,8 @@ class MarginsStudy(WalkingStudy):
             demand_name("axis", axis, MARGIN_AXES)
         super().__post_init__()
         check_grounds(dict.fromkeys(self.grounds, self.level))
-        if self.seconds < CONTROL_DT or not self.grounds:
-            raise RenetError("seconds must be positive, and a ground given")
+        if not self.grounds:
+            raise RenetError("give a ground")
 
     def levels(self, axis: str) -> tuple[float, ...]:
         """Levels of a sweep; every second one with `quick`."""
@@ -155,42 +156,42 @@ class MarginsStudy(WalkingStudy):
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part for the nominal robots, and one for the sweep of each axis."""
-        parts: dict[str, Callable[[], Part]] = {"nominal": partial(self._nominal, evaluator)}
+        parts: dict[str, Callable[[], Part]] = {"nominal": partial(self._walk_nominal, evaluator)}
         for axis in self.axes:
             parts[axis] = partial(self._sweep, evaluator, axis)
         return parts
 
-    def _nominal(self, evaluator: Evaluator) -> Part:
+    def _walk_nominal(self, evaluator: Evaluator) -> Part:
         """Walk with the robots as they are simulated."""
-        return {"runs": self._walk(evaluator, "nominal", None)}
+        return {"runs": self._walk_level(evaluator, "nominal", None)}
 
     def _sweep(self, evaluator: Evaluator, axis: str) -> Part:
         """Walk level after level until all groups of robots are beyond the margin."""
         runs = []
         for level in self.levels(axis):
-            walked = self._walk(evaluator, axis, level)
+            walked = self._walk_level(evaluator, axis, level)
             runs += walked
             # Higher levels are worse.
             if min(column(walked, "failed")) > ALLOWED_LOSS:
                 break
         return {"runs": runs}
 
-    def _walk(self, evaluator: Evaluator, axis: str, level: float | None) -> list[dict[str, Any]]:
+    def _walk_level(
+        self, evaluator: Evaluator, axis: str, level: float | None
+    ) -> list[dict[str, Any]]:
         """Walk at one level of an axis, None for nominal; a row for each ground and mode."""
         cfg = evaluator.terrain_env_cfg(dict.fromkeys(self.grounds, self.level))
         if level is not None:
             change(cfg, axis, level)
         trials = self.trials_on(self.grounds)
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
-        env.place_on([trial.ground for trial in trials])
         title = axis if level is None else f"{axis} {level:g} {MARGIN_AXES[axis].unit}"
-        steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(env, trials, self.seed).run(steps, title, retire=True)
+        trace = self.walk(evaluator, env, trials, title, retire=True)
         runs = []
         each = self.robots_each
         for trial, group in zip(trials[::each], trace.groups(each), strict=True):
             crossed, fell, _ = group.first_try()
-            speed = group.forward_velocity[-round(1.0 / CONTROL_DT) :].mean(axis=0)
+            speed = group.forward_velocity[-control_steps(1.0) :].mean(axis=0)
             stopped = (speed < _STOPPED_SPEED) & ~crossed & ~fell
             failed = fell | stopped
             runs.append(

@@ -17,13 +17,14 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
-from renet.evaluation.rollout import StudyMode
-from renet.evaluation.studies.one_try import NEAREST, LevelStudy
+from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.settings import StudyMode
+from renet.evaluation.studies.grounds import LevelStudy, onset_before_edge
 from renet.evaluation.studies.terrain import SIZE_LABELS
 from renet.evaluation.study import Figures, Part, Table
 from renet.faults import Injection
-from renet.interface import CONTROL_DT
-from renet.terrain.tiles import LEVELS, tiles
+from renet.interface import CONTROL_DT, control_steps
+from renet.terrain.tiles import tiles
 
 if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
@@ -70,7 +71,7 @@ class MemoryStudy(LevelStudy):
     @property
     def onset(self) -> int:
         """Control step at which images cease."""
-        return round(max(NEAREST / self.speed - self.before, 0.0) / CONTROL_DT)
+        return control_steps(onset_before_edge(self.speed, self.before))
 
     @property
     def settings(self) -> list[tuple[float, str]]:
@@ -88,7 +89,8 @@ class MemoryStudy(LevelStudy):
         for seconds, mode in self.settings:
             schedule = (Injection.of(*DEAD_CAMERA, self.onset, seconds),) if seconds else ()
             trials += self.trial_group(mode, schedule, kind)
-        trace = self.walk(evaluator, {kind: level}, trials, title, until_ended=self.onset)
+        env = evaluator.make_env({kind: level}, robot_numbers(trials), self.speed, self.seed)
+        trace = self.walk(evaluator, env, trials, title, until_ended=self.onset, retire=True)
         crossed, fell, _ = trace.first_try()
         shape = (len(self.settings), self.robots_each)
         return {"crossed": crossed.reshape(shape), "fell": fell.reshape(shape)}
@@ -98,7 +100,7 @@ class MemoryStudy(LevelStudy):
         runs = []
         for ground, part in self.by_ground(parts).items():
             kind, level = ground.split(":")
-            size = tiles()[kind].measure((int(level) - 1) / (LEVELS - 1))
+            size = tiles()[kind].measure_at(int(level))
             crossed = dict(zip(self.settings, np.array(part["crossed"], bool), strict=True))
             fell = dict(zip(self.settings, np.array(part["fell"], bool), strict=True))
             for (seconds, mode), successes in crossed.items():
@@ -118,7 +120,7 @@ class MemoryStudy(LevelStudy):
                     "seed": self.seed,
                 }
                 runs.append(run)
-        return {"runs": runs, "robots": self.robots_each, "onset_s": self.onset * CONTROL_DT}
+        return {"runs": runs, "robots": self.robots_each}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure memory.png: share that crosses against the time, one panel for each ground."""

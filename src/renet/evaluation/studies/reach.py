@@ -20,12 +20,12 @@ from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by, select
 from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.studies.grounds import one_tile_cfg
 from renet.evaluation.studies.memory import DEAD_CAMERA
-from renet.evaluation.studies.one_try import one_tile_cfg
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import Injection
-from renet.interface import CONTROL_DT, Unseen
+from renet.interface import Unseen, control_steps
 from renet.pilot.reach import UNSEEN
 from renet.terrain.tiles import TILE, GapTile
 
@@ -93,7 +93,7 @@ class ReachStudy(WalkingStudy):
     @property
     def onset(self) -> int:
         """Control step at which the camera dies, for robots that walk at the commanded speed."""
-        return round(_RUN_UP / self.speed / CONTROL_DT)
+        return control_steps(_RUN_UP / self.speed)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each distance, and one for the two gaps."""
@@ -101,11 +101,11 @@ class ReachStudy(WalkingStudy):
         for metres in self.metres:
             name = f"gap_{metres:g}"
             gap = single_gap(self.gap, metres)
-            parts[name] = partial(self._walk, evaluator, name, gap, metres)
-        pair = partial(self._walk, evaluator, "two_gaps", self.two_gaps, _PAIR_DISTANCE)
+            parts[name] = partial(self._walk_tile, evaluator, name, gap, metres)
+        pair = partial(self._walk_tile, evaluator, "two_gaps", self.two_gaps, _PAIR_DISTANCE)
         return parts | {"two_gaps": pair}
 
-    def _walk(self, evaluator: Evaluator, name: str, gap: GapTile, metres: float) -> Part:
+    def _walk_tile(self, evaluator: Evaluator, name: str, gap: GapTile, metres: float) -> Part:
         """Walk on one tile with each conduct, and with a healthy camera."""
         cfg = one_tile_cfg(evaluator, "gap", gap)
         dead = (Injection.of(*DEAD_CAMERA, self.onset, self.seconds),)
@@ -117,7 +117,7 @@ class ReachStudy(WalkingStudy):
         conducts: list[Unseen] = [conduct for conduct in groups for _ in range(self.robots_each)]
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
         rollout = evaluator.rollout(env, trials, self.seed, conducts)
-        trace = rollout.run(round(self.seconds / CONTROL_DT), name, retire=True)
+        trace = rollout.run(self.steps, name, retire=True)
         scene = {
             "scene": "two gaps" if name == "two_gaps" else "gap",
             "gap_m": gap.high,
@@ -142,10 +142,8 @@ class ReachStudy(WalkingStudy):
             "fell": int(fell.sum()),
             "fell_at_second": int(at_second.sum()),
             "stood": int((~crossed & ~fell).sum()),
-            "crossed_rate": float(crossed.mean()),
-            "fell_rate": float(fell.mean()),
-            **metrics.with_share_interval("crossed", crossed),
-            **metrics.with_share_interval("fell", fell),
+            **metrics.share_columns("crossed", crossed),
+            **metrics.share_columns("fell", fell),
             "seed": self.seed,
         }
 

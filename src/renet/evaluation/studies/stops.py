@@ -18,10 +18,11 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.evaluation import metrics
-from renet.evaluation.rollout import StudyMode, check_names, robot_numbers
-from renet.evaluation.studies.one_try import one_tile_cfg, start_facing
+from renet.evaluation.results import as_text
+from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.settings import StudyMode, check_names
+from renet.evaluation.studies.grounds import one_tile_cfg, start_facing
 from renet.evaluation.study import Part, Table, WalkingStudy
-from renet.interface import CONTROL_DT
 from renet.terrain.tiles import BARRIERS, barriers
 
 if TYPE_CHECKING:
@@ -69,9 +70,7 @@ class StopsStudy(WalkingStudy):
         start_facing(cfg, math.radians(angle))
         trials = self.trials_on((kind,))
         env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
-        steps = round(self.seconds / CONTROL_DT)
-        rollout = evaluator.rollout(env, trials, self.seed)
-        trace = rollout.run(steps, f"{kind}, {angle:g} degrees")
+        trace = self.walk(evaluator, env, trials, f"{kind}, {angle:g} degrees")
         runs = []
         for mode, group in zip(self.modes, trace.groups(self.robots_each), strict=True):
             # A robot that does not stop falls or leaves the tile, which ends its episode.
@@ -96,7 +95,7 @@ class StopsStudy(WalkingStudy):
         header = ("barrier", "angle (degrees)", "mode", "fell", "walked (m)")
         rows = []
         for run in summary["runs"]:
-            walked = "-" if run["walked_m"] is None else f"{run['walked_m']:.2f}"
+            walked = as_text(run["walked_m"], ".2f")
             falls = f"{run['falls']} of {run['robots']}"
             rows.append((run["kind"], f"{run['angle_deg']:g}", run["mode"], falls, walked))
         return [(f"Commanded to go on, {self.height:g} m high or deep", header, rows)]

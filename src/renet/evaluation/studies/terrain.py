@@ -26,19 +26,13 @@ import numpy as np
 from renet.errors import RenetError
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
-from renet.evaluation.rollout import (
-    FLAT_GROUND,
-    PARKOUR,
-    StudyMode,
-    Trial,
-    check_names,
-    robot_numbers,
-)
-from renet.evaluation.studies.one_try import NEAREST, start_facing
+from renet.evaluation.rollout import Trial, robot_numbers
+from renet.evaluation.settings import FLAT_GROUND, PARKOUR, StudyMode, check_names
+from renet.evaluation.studies.grounds import onset_before_edge, start_facing
 from renet.evaluation.study import Figures, MakeEnv, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
 from renet.faults import FaultSchedule, parse_fault
-from renet.interface import CONTROL_DT, OWN_GROUND, Terrain
+from renet.interface import OWN_GROUND, Terrain
 from renet.terrain.own_ground import GroundFile, OwnScene
 from renet.terrain.tiles import LEVELS, Tile, tiles
 
@@ -104,8 +98,6 @@ class TerrainStudy(WalkingStudy):
         if not self.levels or len({*self.levels} & {*range(1, LEVELS + 1)}) < len(self.levels):
             raise RenetError(f"levels {self.levels}: choose, once each, among 1 to {LEVELS}")
         super().__post_init__()
-        if self.seconds < 1:
-            raise RenetError(f"seconds must be at least 1, got {self.seconds}")
         # Raises for a fault that is unknown.
         _ = self.schedule
         # The dataclass is frozen, and a ground of one's own replaces the kinds of tile.
@@ -130,8 +122,7 @@ class TerrainStudy(WalkingStudy):
         """Fault of every camera."""
         if self.fault is None:
             return ()
-        # By default half a second before the nearest obstacle, at the commanded speed.
-        return (parse_fault(self.fault, max(NEAREST / self.speed - 0.5, 0.0)),)
+        return (parse_fault(self.fault, onset_before_edge(self.speed)),)
 
     @property
     def settings(self) -> list[tuple[int, str]]:
@@ -163,19 +154,17 @@ class TerrainStudy(WalkingStudy):
         """Walk with as many robots as in a setting on flat ground."""
         trials = self.trial_group(self.modes[0])
         env = evaluator.make_env(FLAT_GROUND, robot_numbers(trials), self.speed, self.seed)
-        steps = round(self.seconds / CONTROL_DT)
-        trace = evaluator.rollout(env, trials, self.seed).run(steps, "flat")
+        trace = self.walk(evaluator, env, trials, "flat")
         return {"falls": int(trace.fell.sum())}
 
     def _walk_tiles(self, evaluator: Evaluator, make_env: MakeEnv, kind: str) -> Part:
         """Walk all levels and modes of one kind of tile, side by side."""
         settings = self.settings
         env, trials = self.robots_on(make_env, [(kind, *setting) for setting in settings])
-        steps = round(self.seconds / CONTROL_DT)
         least = 0 if self.one_try else None
         title = f"{self.kinds.index(kind) + 1}/{len(self.kinds)} {kind}"
         rollout = evaluator.rollout(env, trials, self.seed)
-        trace = rollout.run(steps, title, until_ended=least, retire=self.one_try)
+        trace = rollout.run(self.steps, title, until_ended=least, retire=self.one_try)
         groups = trace.groups(self.robots_each)
         runs = []
         levels_passed = []
@@ -240,7 +229,7 @@ class TerrainStudy(WalkingStudy):
         return {
             "kind": kind,
             "level": level,
-            "size_m": self.tiles[kind].measure((level - 1) / (LEVELS - 1)),
+            "size_m": self.tiles[kind].measure_at(level),
             "mode": mode,
             "fault": self.fault,
             "robots": len(success),

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from renet.camera import Intrinsics, MountCfg
 from renet.errors import RenetError
-from renet.interface import CONTROL_DT, DEPTH_RANGE, TICK_DT
+from renet.interface import CONTROL_DT, DEPTH_RANGE, TICK_DT, control_steps
 from renet.sim.depth.rasterizer import scanner
 from renet.sim.depth.ray_sensor import RaySensor
 
@@ -136,7 +136,7 @@ class DepthCamera(RaySensor):
         self._rotation = torch.empty(count, 3, 3, device=device)
         self._delay = torch.zeros(count, dtype=torch.long, device=device)
         """Age of delivered images in control steps, [N]."""
-        self._max_delay = round(self.cfg.delay[1] / CONTROL_DT)
+        self._max_delay = control_steps(self.cfg.delay[1])
         self._poses = CircularBuffer(self._max_delay + 1, count, device)
         """`_pose` at the last control steps of the episode; empty for a camera without delay."""
         self._restart_clock()
@@ -156,7 +156,7 @@ class DepthCamera(RaySensor):
         self._position[env_ids] = self._nominal + mount.position_error * error[:, :3]
         pitch, yaw = (mount.angle_error * error[:, 3:]).unbind(-1)
         self._rotation[env_ids] = mount_rotation(mount.pitch + pitch, yaw)
-        low = round(self.cfg.delay[0] / CONTROL_DT)
+        low = control_steps(self.cfg.delay[0])
         high = self._max_delay + 1
         self._delay[env_ids] = torch.randint(low, high, (count,), device=self._device)
 

@@ -10,7 +10,7 @@ from renet.robots import GO1, Robot
 from renet.robots.model import simulation_model
 from renet.terrain.height_map import ARRAY, PICTURE
 from renet.terrain.own_ground import GroundFile
-from renet.terrain.tiles import TILE, Tile, find_tile
+from renet.terrain.tiles import LEVELS, TILE, Tile, difficulty_of, find_tile
 
 TERRAIN = "terrain"
 """Name of the body of a tile."""
@@ -67,7 +67,7 @@ def scene_spec(
     start = 0.0
     if file is not None and Path(file).suffix.lower() in (ARRAY, PICTURE):
         ground = GroundFile(file=Path(file), width=width, height=height)
-        start = _add_tile(spec, ground.tile(), 1.0, seed)
+        start = _add_tile(spec, ground.tile(), LEVELS, seed)
     elif file is not None:
         file = Path(file)
         try_scene(file, robot)
@@ -77,7 +77,7 @@ def scene_spec(
         plane = mujoco.mjtGeom.mjGEOM_PLANE
         spec.worldbody.add_geom(type=plane, size=(BORDER, BORDER, 1), rgba=GROUND)
     else:
-        start = _add_tile(spec, *find_tile(terrain, level), seed)
+        start = _add_tile(spec, find_tile(terrain, level), level, seed)
     return spec, start
 
 
@@ -87,14 +87,14 @@ def _ground(body: mujoco.MjsBody, position: tuple[float, float], half: tuple[flo
     body.add_geom(type=box, size=(*half, 0.5), pos=(*position, -0.5), rgba=GROUND)
 
 
-def _add_tile(spec: mujoco.MjSpec, tile: Tile, difficulty: float, seed: int) -> float:
+def _add_tile(spec: mujoco.MjSpec, tile: Tile, level: int, seed: int) -> float:
     """Add a training tile with its middle at the origin, and ground around it.
 
     Returns:
         Height of the ground at the origin, m.
     """
     spec.worldbody.add_body(name=TERRAIN)
-    built = tile.function(difficulty, spec, np.random.default_rng(seed))
+    built = tile.function(difficulty_of(level), spec, np.random.default_rng(seed))
     middle = np.array([TILE / 2, TILE / 2, 0.0])
     for part in built.geometries:
         part.geom.pos = np.asarray(part.geom.pos) - middle

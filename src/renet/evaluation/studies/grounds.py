@@ -1,21 +1,18 @@
-"""Base of studies in which robots have one try at leaving a tile, all settings side by side."""
+"""Grounds of studies: edges of tiles, starts in front of them, and a base of studies by ground."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from renet.errors import RenetError
-from renet.evaluation.rollout import EvalEnv, Trial, robot_numbers
 from renet.evaluation.study import Part, WalkingStudy
-from renet.evaluation.trace import Trace
-from renet.interface import CONTROL_DT
 from renet.terrain.tiles import LEVELS, Tile, tiles
 
 if TYPE_CHECKING:
-    from renet.evaluation.evaluator import Evaluator, Task
+    from renet.evaluation.evaluator import Evaluator
     from renet.tasks import RenetEnvCfg
 
 EDGES = {"gap": 1.2, "platform": 1.4, "stairs_up": 1.2, "stairs_down": 1.5}
@@ -24,6 +21,16 @@ NEAREST = min(EDGES.values())
 """Shortest of these distances, m."""
 _START_YAW = 0.1
 """Largest angle between a robot's start and the yaw that it is to have, rad."""
+
+
+def onset_before_edge(speed: float, lead: float = 0.5) -> float:
+    """Time at which a robot is `lead` seconds before the nearest edge, s; 0 if it starts nearer.
+
+    Args:
+        speed: commanded speed, m/s.
+        lead: time before the edge, s.
+    """
+    return max(NEAREST / speed - lead, 0.0)
 
 
 def start_facing(cfg: RenetEnvCfg, yaw: float = 0.0) -> None:
@@ -46,51 +53,11 @@ def one_tile_cfg(evaluator: Evaluator, kind: str, tile: Tile) -> RenetEnvCfg:
 
 
 @dataclass(frozen=True)
-class OneTryStudy(WalkingStudy):
-    """Base of studies whose robots walk until they have left their tile or fallen."""
+class LevelStudy(WalkingStudy):
+    """Base of studies in which robots have one try on each of some grounds with their levels."""
 
     seconds: float = 12.0
     """Time to leave the tile, s."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.seconds < 1:
-            raise RenetError(f"seconds must be at least 1, got {self.seconds}")
-
-    def walk(
-        self,
-        evaluator: Evaluator,
-        task: Task,
-        trials: Sequence[Trial],
-        title: str,
-        until_ended: int = 1,
-        retire: bool = True,
-        view: Callable[[EvalEnv], Any] = lambda env: env,
-    ) -> Trace:
-        """Run trials, each on its ground.
-
-        Args:
-            evaluator: evaluator of the policy.
-            task: task with the trials' grounds, see `Evaluator.make_env`.
-            trials: one for each robot.
-            title: title of the progress.
-            until_ended: number of control steps after which the run ends as soon as all first tries
-                are over.
-            retire: True to stop simulating robots whose first try is over.
-            view: wraps the environment, to show robots other images.
-        """
-        # Robots with the same number are twins.
-        env = evaluator.make_env(task, robot_numbers(trials), self.speed, self.seed)
-        env.place_on([trial.ground for trial in trials])
-        rollout = evaluator.rollout(view(env), trials, self.seed)
-        steps = round(self.seconds / CONTROL_DT)
-        return rollout.run(steps, title, until_ended=until_ended, retire=retire)
-
-
-@dataclass(frozen=True)
-class LevelStudy(OneTryStudy):
-    """Base of studies of grounds that are named with their level."""
-
     grounds: tuple[str, ...] = ()
     """Ground and level, KIND:LEVEL, such as gap:3; levels are 1 to 10."""
 
