@@ -95,7 +95,7 @@ class TileBuilder:
         geom = self.body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=half,
-            pos=middle + np.array((*self.origin, 0.0)),
+            pos=np.add(middle, (*self.origin, 0.0)),
             quat=quaternion,
             rgba=color,
         )
@@ -130,7 +130,7 @@ class TileBuilder:
         geom = self.body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_HFIELD,
             hfieldname=field.name,
-            pos=middle + np.array((*self.origin, 0.0)),
+            pos=np.add(middle, (*self.origin, 0.0)),
             rgba=color,
         )
         self.geometries.append(TileGeom(geom, color, field))
