@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -29,7 +30,7 @@ from renet.tasks import env_cfg, make_env, mdp
 from renet.training.export import camera_spec, export_models, robot_spec
 
 ROOT = Path(__file__).parents[1]
-FILES = ("add_reward", "add_fault", "add_robot", "add_study", "third_party_policy")
+FILES = ("add_reward", "add_tile", "add_fault", "add_robot", "add_study", "third_party_policy")
 
 
 @pytest.fixture
@@ -80,6 +81,22 @@ def test_the_added_reward_penalises_turning(load):
     expected = robot.data.root_link_ang_vel_b[:, :2].square().sum(-1)
     np.testing.assert_allclose(term.func(env), expected)
     env.close()
+
+
+def test_the_added_tile_grows_with_the_level(load):
+    load("add_tile")
+    for play in (False, True):
+        terrain = env_cfg("Renet-Go1-Beams", play).scene.terrain
+        assert "gap" in terrain.terrain_generator.sub_terrains
+        beams = terrain.terrain_generator.sub_terrains["beams"]
+    for level, height in ((1, 0.001), (2, 0.03), (10, 0.2)):
+        scene = mujoco.MjSpec()
+        scene.worldbody.add_body(name="terrain")
+        beams.function((level - 1) / 9, scene, np.random.default_rng(0))
+        model = scene.compile()
+        tops = model.geom_pos[:, 2] + model.geom_size[:, 2]
+        assert tops.max() == pytest.approx(height)
+        assert model.ngeom == 1 + 3 * 4
 
 
 def test_the_added_fault_spoils_a_run(load, tmp_path):

@@ -26,14 +26,14 @@ def walk(reach: Reach, seconds: float, velocity=(0.0, 0.0), turn_rate=0.0) -> No
 
 
 def test_what_lies_ahead_shrinks_by_the_way_walked():
-    reach = Reach(1, distance=1.2)
+    reach = Reach(1)
     assert reach.ahead(AHEAD) == pytest.approx(1.2)
     walk(reach, 1.0, (0.5, 0.0))
     assert reach.ahead(AHEAD) == pytest.approx(0.7)
 
 
 def test_an_image_shows_new_ground():
-    reach = Reach(2, distance=1.2)
+    reach = Reach(2)
     for _ in range(50):
         reach.move(np.full((2, 2), (0.5, 0.0)), np.zeros(2))
     reach.reset(np.array([False, True]))
@@ -41,7 +41,7 @@ def test_an_image_shows_new_ground():
 
 
 def test_a_turn_by_a_right_angle_leads_to_the_side():
-    reach = Reach(1, distance=1.2)
+    reach = Reach(1)
     walk(reach, 1.0, (0.4, 0.0))
     walk(reach, 1.0, turn_rate=math.pi / 2)
     assert reach.ahead(AHEAD) == pytest.approx(HALF_WIDTH, abs=1e-6)
@@ -50,14 +50,14 @@ def test_a_turn_by_a_right_angle_leads_to_the_side():
 
 
 def test_the_way_back_has_been_walked():
-    reach = Reach(1, distance=1.2)
+    reach = Reach(1)
     walk(reach, 2.0, (0.5, 0.0))
     assert reach.ahead(-AHEAD) == np.inf
     assert reach.ahead(np.zeros((1, 2))) == np.inf
 
 
 def test_points_are_seen_up_to_the_end_of_the_image_and_on_the_way_behind():
-    reach = Reach(1, distance=1.2)
+    reach = Reach(1)
     points = np.array([(1.2, 0.0), (0.7, HALF_WIDTH), (0.75, 0.0), (-0.6, 0.9), (0.0, 0.9)])
     np.testing.assert_array_equal(reach.covers(points), [[True, True, True, True, False]])
     walk(reach, 1.0, (0.5, 0.0))

@@ -9,12 +9,10 @@ import pytest
 from renet.terrain.course import (
     COURSE_WIDTH,
     GROUND_BEFORE,
-    OBSTACLES,
     PIT_DEPTH,
     Blocks,
     Course,
     Gap,
-    Plain,
     Platform,
     Ramp,
     Stairs,
@@ -102,9 +100,8 @@ def test_only_what_stands_on_the_ground_can_be_glass():
     assert (model.geom_pos[glass, 0] > GROUND_BEFORE + 2.5).all()
 
 
-def test_every_kind_says_what_it_is():
+def test_a_record_has_kind_and_sizes():
     assert UP.record() == {"kind": "stairs", "rise": 0.1, "tread": 0.3, "steps": 4}
-    assert OBSTACLES["plain"](3.0) == Plain(3.0)
 
 
 def test_spaces_must_match():

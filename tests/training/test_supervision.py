@@ -13,7 +13,7 @@ from renet.models.him import target_view
 from renet.models.renet import RENet
 from renet.training.config import SupervisionCfg
 from renet.training.storage import TickRollout
-from renet.training.supervision import Supervision, draw_grass, grow_grass
+from renet.training.supervision import Supervision
 
 TICKS, ROBOTS = 3, 4
 
@@ -140,42 +140,6 @@ def test_rate_follows_schedule(model, rollout):
     for name in ("op", "vp"):
         assert 8 < losses[f"{name}_him_rank"] <= 16  # Random prototypes point everywhere.
         assert 1 <= losses[f"{name}_him_usage"] <= 32
-
-
-def test_grass_views_have_blades_and_holes():
-    views = draw_grass(seed=3)
-    assert views.shape == (512, 48, 64)
-    assert torch.equal(views, draw_grass(seed=3))
-    covered = (views < 1.0).float().mean((1, 2))
-    assert 0.0 <= covered.min() < 0.03
-    assert 0.2 < covered.max() < 0.6
-    holes = (views == 0.0).float().mean((1, 2))
-    assert (holes <= covered).all()
-    assert 0.02 < holes.mean() < 0.2
-
-
-def test_grass_covers_15_of_100_pairs():
-    torch.manual_seed(0)
-    pairs = torch.full((100, 2, 48, 64), 0.9)
-    seen = grow_grass(pairs, draw_grass()[400:])
-    assert torch.equal(seen[15:], pairs[15:])
-    assert (seen <= pairs).all()
-    assert ((seen[:15] < pairs[:15]).flatten(2).any(-1)).float().mean() > 0.9
-    assert (seen[:15, 0] != seen[:15, 1]).flatten(1).any(1).float().mean() > 0.9
-    assert (pairs == 0.9).all()
-
-
-def test_images_are_expected_through_grass_by_every_seventh_robot():
-    images = torch.full((70, 48, 64), 0.9)
-    model = RENet(ModelCfg(detector="variance", expect_image=True), critic_size=5)
-    seen = Supervision(model, SupervisionCfg()).grow_grass(images)
-    overgrown = (seen < images).flatten(1).any(1)
-    # A view may hold a single blade, beside the image.
-    assert overgrown[::7].float().mean() > 0.7
-    assert overgrown.sum() == overgrown[::7].sum()
-    assert (images == 0.9).all()
-    plain = RENet(ModelCfg(expect_image=True), critic_size=5)
-    assert torch.equal(Supervision(plain, SupervisionCfg()).grow_grass(images), images)
 
 
 @pytest.mark.parametrize(

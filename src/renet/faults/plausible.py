@@ -10,6 +10,7 @@ import numpy as np
 
 from renet.faults.base import FOREVER, Fault, Frames, ImageFault
 from renet.faults.image import COLUMNS, ROWS
+from renet.faults.timing import Frozen
 from renet.interface import DEPTH_RANGE
 
 
@@ -67,7 +68,7 @@ class Split(ImageFault):
         return np.roll(image, round(self.level * ROWS), axis=0)
 
 
-class HalfFrozen(Fault):
+class HalfFrozen(Frozen):
     """A band of rows keeps what it showed before the fault, and the others are live; level is the
     band's share of the image.
 
@@ -76,7 +77,7 @@ class HalfFrozen(Fault):
 
     unit = "share"
     levels = (0.2, 0.35, 0.5, 0.65, 0.8)
-    _last: np.ndarray | None = None
+    level_is_duration = False
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a mask of the frozen rows, [48] bool."""
@@ -87,12 +88,9 @@ class HalfFrozen(Fault):
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
         """Put the band of the last image from before the fault into the images."""
-        if self._last is None:
-            self._last = frames.image.copy()
-        live = elapsed < 0
-        self._last[live] = frames.image[live]
+        last = super().corrupt(frames, elapsed).image
         frozen = np.array(self.patterns)[:, :, None]
-        return replace(frames, image=np.where(frozen, self._last, frames.image))
+        return replace(frames, image=np.where(frozen, last, frames.image))
 
 
 class TemporalFilter(Fault):

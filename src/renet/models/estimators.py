@@ -43,6 +43,11 @@ def _compressor(inputs: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(inputs, EMBEDDING), nn.ELU(inplace=True))
 
 
+def _map_head(points: int) -> nn.Sequential:
+    """Build layers from a latent [B, 64] to a map [B, points]."""
+    return mlp((LATENT, LATENT, points))
+
+
 class DepthEmbedding(nn.Module):
     """Three-layer CNN that embeds d_t^{H2}: [B, H2, 48, 64] in [0, 1] to [B, 64]."""
 
@@ -110,7 +115,11 @@ ENCODERS: dict[str, type[nn.Module]] = {"attention": AttentionEncoder, "mlp": Ml
 
 
 class Estimator(nn.Module):
-    """Base of OP and VP: encoder, GRU, velocity head, and unrolling over ticks."""
+    """Base of OP and VP: encoder, GRU, heads, and unrolling over ticks."""
+
+    quantities: tuple[str, ...] = ("velocity",)
+    """Quantities that the heads predict. Each head is an attribute, such as `velocity_head`, or
+    None where `ModelCfg` leaves it out."""
 
     def __init__(self, cfg: ModelCfg, inputs: int) -> None:
         super().__init__()
@@ -135,14 +144,17 @@ class Estimator(nn.Module):
         """Apply the heads to latents [..., 64], h_b or h_v.
 
         Returns:
-            Predictions by name, one for each head: `velocity` [..., 3] m/s in the base frame;
+            Predictions by quantity, one for each head: `velocity` [..., 3] m/s in the base frame;
             `feet_height` [..., 4] m in the order of interface.LEGS; `height_map` [..., 132] m below
             the nominal base height, interface.HEIGHT_MAP_X by HEIGHT_MAP_Y; `far_map` [..., 30]
             likewise, FAR_MAP_X by FAR_MAP_Y.
         """
-        if self.velocity_head is None:
-            return {}
-        return {"velocity": self.velocity_head(latent)}
+        predictions = {}
+        for name in self.quantities:
+            head = getattr(self, f"{name}_head")
+            if head is not None:
+                predictions[name] = head(latent)
+        return predictions
 
     def forward(self, history: Tensor, depth: Tensor, has_image: Tensor, latent: Tensor) -> Tensor:
         """Advance latents [B, 64] by one 10 Hz tick; other arguments are those of `features`."""
@@ -190,24 +202,20 @@ class OPEstimator(Estimator):
 class VPEstimator(Estimator):
     """Estimator from vision and proprioception.
 
-    It also predicts the heights h_f of the feet and the 2.5D height map m_t.
+    It also predicts the heights h_f of the feet, the 2.5D height map m_t and the ground beyond it.
     """
+
+    quantities = ("velocity", "feet_height", "height_map", "far_map")
 
     def __init__(self, cfg: ModelCfg) -> None:
         super().__init__(cfg, inputs=2)
         self.depth = DepthEmbedding(cfg.frames)
-        self.feet_height_head = None
-        self.height_map_head = None
-        self.far_map_head = None
+        self.feet_height_head = nn.Linear(LATENT, NUM_FEET) if cfg.predict_feet_height else None
+        self.height_map_head = _map_head(HEIGHT_MAP_SIZE) if cfg.predict_height_map else None
+        self.far_map_head = _map_head(FAR_MAP_SIZE) if cfg.predict_far_map else None
         self.map_error_head = None
-        if cfg.predict_feet_height:
-            self.feet_height_head = nn.Linear(LATENT, NUM_FEET)
-        if cfg.predict_height_map:
-            self.height_map_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE))
-        if cfg.predict_far_map:
-            self.far_map_head = mlp((LATENT, LATENT, FAR_MAP_SIZE))
         if cfg.predict_map_error and cfg.predict_height_map:
-            self.map_error_head = mlp((LATENT, LATENT, HEIGHT_MAP_SIZE))
+            self.map_error_head = _map_head(HEIGHT_MAP_SIZE)
             nn.init.constant_(self.map_error_head[-1].bias, FIRST_MAP_LOG_VARIANCE)  # type: ignore[arg-type]
 
     def features(self, history: Tensor, depth: Tensor, has_image: Tensor) -> Tensor:
@@ -215,17 +223,6 @@ class VPEstimator(Estimator):
         embedding = self.depth(depth[:, : self.frames])
         embedding = embedding * has_image.reshape(-1, 1).to(embedding.dtype)
         return self.encoder([self.proprioception(history), embedding])
-
-    def predict(self, latent: Tensor) -> dict[str, Tensor]:
-        """Apply the heads to latents h_v [..., 64]; see `Estimator.predict`."""
-        predictions = super().predict(latent)
-        if self.feet_height_head is not None:
-            predictions["feet_height"] = self.feet_height_head(latent)
-        if self.height_map_head is not None:
-            predictions["height_map"] = self.height_map_head(latent)
-        if self.far_map_head is not None:
-            predictions["far_map"] = self.far_map_head(latent)
-        return predictions
 
     def map_log_variance(self, latent: Tensor) -> Tensor:
         """Predict the log variance of the height map's error from latents h_v [..., 64].

@@ -40,18 +40,12 @@ class Reach:
     """Motion of N robots since their last images, and the ground ahead that they have seen.
 
     Each robot's last image defines a frame: that of its base at this moment, with x ahead. The
-    ground up to `distance` ahead and up to `HALF_WIDTH` to the sides has been seen, and so has the
+    ground up to `DISTANCE` ahead and up to `HALF_WIDTH` to the sides has been seen, and so has the
     ground behind, from where the robot came.
     """
 
-    def __init__(self, num_robots: int, distance: float = DISTANCE) -> None:
-        """Initialize the motion at images of all robots.
-
-        Args:
-            num_robots: Number of robots, N.
-            distance: Distance ahead of the base up to which an image is remembered, m.
-        """
-        self.distance = distance
+    def __init__(self, num_robots: int) -> None:
+        """Initialize the motion at images of all robots."""
         self._position = np.zeros((num_robots, 2))
         self._yaw = np.zeros(num_robots)
 
@@ -78,7 +72,7 @@ class Reach:
                 is infinite.
         """
         way = _rotated(direction, self._yaw)
-        to_end = _distance(self.distance - self._position[:, 0], way[:, 0])
+        to_end = _distance(DISTANCE - self._position[:, 0], way[:, 0])
         to_left = _distance(HALF_WIDTH - self._position[:, 1], way[:, 1])
         to_right = _distance(HALF_WIDTH + self._position[:, 1], -way[:, 1])
         # Behind the frame's origin there are no sides: the robot walks back on its own track.
@@ -97,7 +91,7 @@ class Reach:
         # At the moment of the image its outermost points count, whatever the rounding.
         margin = 1e-9
         beside = (np.abs(left) <= HALF_WIDTH + margin) | (ahead < 0.0)
-        return (ahead <= self.distance + margin) & beside
+        return (ahead <= DISTANCE + margin) & beside
 
 
 def can_stop(ahead: np.ndarray, height_map: np.ndarray) -> np.ndarray:

@@ -39,7 +39,7 @@ class MotorsCfg:
     def max_lag(self) -> int:
         """Largest delay in physics steps."""
         joint_delay = max(self.joint_delay.values(), default=0.0)
-        return steps(self.target_delay[1]) + steps(joint_delay)
+        return physics_steps(self.target_delay[1]) + physics_steps(joint_delay)
 
     def check(self) -> None:
         """Raise RenetError for ranges that are empty or infinite."""
@@ -52,7 +52,7 @@ class MotorsCfg:
                 raise RenetError(f"motors.no_load_speed must rise from above 0, got {low}, {high}")
 
 
-def steps(seconds: float) -> int:
+def physics_steps(seconds: float) -> int:
     """Return the number of physics steps nearest to a time in s."""
     return round(seconds / PHYSICS_DT)
 
@@ -82,7 +82,7 @@ class RandomMotors(Motors):
         model = sim.mj_model
         names = [model.actuator(number).name.split("/")[-1] for number in range(model.nu)]
         velocity = [robot.motor(name).velocity for name in names]
-        lag = [steps(cfg.joint_delay.get(name, 0.0)) for name in names]
+        lag = [physics_steps(cfg.joint_delay.get(name, 0.0)) for name in names]
         self._velocity = torch.tensor(velocity, device=sim.device)
         """Largest velocity of each motor, [nu] rad/s."""
         self._joint_lag = torch.tensor(lag, dtype=torch.int32, device=sim.device)
@@ -98,8 +98,8 @@ class RandomMotors(Motors):
     def begin_episodes(self, ids: Tensor) -> None:
         """Draw the delays of some robots, and drop their old targets."""
         shortest, longest = self._cfg.target_delay
-        low = steps(shortest)
-        high = steps(longest)
+        low = physics_steps(shortest)
+        high = physics_steps(longest)
         lag = torch.randint(low, high + 1, (len(ids), 1), dtype=torch.int32, device=ids.device)
         self.lag[ids] = lag + self._joint_lag
         self.reset(ids)

@@ -29,7 +29,6 @@ from renet.terrain.tiles import (
     Range,
     Tile,
     TileBuilder,
-    TileGeom,
 )
 
 COURSE_WIDTH = 18.0
@@ -82,15 +81,11 @@ class Strip(TileBuilder):
         # the normal.
         x = (start[0] + end[0]) / 2 + thick / 2 * math.sin(angle)
         z = (start[1] + end[1]) / 2 - thick / 2 * math.cos(angle)
-        geom = self.body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=(math.hypot(run, rise) / 2, COURSE_WIDTH / 2, thick / 2),
-            pos=(self.origin[0] + x, self.origin[1], z),
-            quat=(math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0),
-            rgba=STONE,
-        )
-        geom.group = OBSTACLE_GROUP
-        self.geometries.append(TileGeom(geom, STONE))
+        half = (math.hypot(run, rise) / 2, COURSE_WIDTH / 2, thick / 2)
+        # Turned about y, with the end up.
+        quaternion = (math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0)
+        plate = self.turned_box((x, 0.0, z), half, quaternion)
+        plate.group = OBSTACLE_GROUP
 
 
 @dataclass(frozen=True)
@@ -300,11 +295,6 @@ class Ramp(Obstacle):
         strip.obstacle((first, last), (z - 0.1, top))
         strip.slab((x, z), (first, top), thick=0.1)
         strip.slab((last, top), (x + self.extent, z), thick=0.1)
-
-
-_KINDS = (Plain, Gap, Platform, Stairs, Blocks, Ramp)
-OBSTACLES: dict[str, type[Obstacle]] = {kind.kind: kind for kind in _KINDS}
-"""Kinds of obstacles by name."""
 
 
 @dataclass

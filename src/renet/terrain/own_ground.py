@@ -13,17 +13,8 @@ import numpy as np
 
 from renet.errors import RenetError
 from renet.files import MEGABYTE, require_regular
-from renet.interface import OWN_GROUND
 from renet.terrain.height_map import ARRAY, PICTURE, interpolate, read_heights
-from renet.terrain.tiles import (
-    FLAT_RELIEF,
-    LEVELS,
-    STONE,
-    TILE,
-    Tile,
-    TileBuilder,
-    TileGeom,
-)
+from renet.terrain.tiles import FLAT_RELIEF, LEVELS, TILE, Tile, TileBuilder
 from renet.trial import judge, run_trial
 
 SCENE = ".xml"
@@ -52,8 +43,6 @@ SOLID = 0
 """MuJoCo's group of geoms that rays look for."""
 PASSABLE = 5
 """MuJoCo's group of geoms that rays pass through."""
-CORNER = np.array([TILE / 2, TILE / 2, 0.0])
-"""Vector from a tile's corner to its middle, m."""
 BASE = 0.2
 """Thickness of the ground below the lowest point of a height map, m."""
 
@@ -247,20 +236,8 @@ def _add_heights(builder: TileBuilder, heights: np.ndarray) -> None:
     """Add a height field of the tile's size, with heights [N, N] m."""
     lowest = float(heights.min())
     relief = max(float(np.ptp(heights)), FLAT_RELIEF)
-    field = builder.spec.add_hfield(
-        name=f"{OWN_GROUND}_{len(builder.spec.hfields)}",
-        size=(TILE / 2, TILE / 2, relief, BASE),
-        nrow=len(heights),
-        ncol=len(heights),
-        userdata=((heights - lowest) / relief).flatten(),
-    )
-    geom = builder.body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_HFIELD,
-        hfieldname=field.name,
-        pos=(TILE / 2, TILE / 2, lowest),
-        rgba=STONE,
-    )
-    builder.geometries.append(TileGeom(geom, STONE, field))
+    size = (TILE / 2, TILE / 2, relief, BASE)
+    builder.height_field((heights - lowest) / relief, size, (0.0, 0.0, lowest))
 
 
 def _add_box(
@@ -299,14 +276,7 @@ def _add_box(
     _demand_inside(low, high, name)
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, rotation.ravel())
-    geom = builder.body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=half,
-        pos=position + CORNER,
-        quat=quaternion,
-        rgba=color,
-    )
-    builder.geometries.append(TileGeom(geom, color))
+    builder.turned_box(position, half, quaternion, color)
 
 
 def _add_field(
@@ -325,20 +295,8 @@ def _add_field(
     rows = int(model.hfield_nrow[number])
     columns = int(model.hfield_ncol[number])
     first = int(model.hfield_adr[number])
-    field = builder.spec.add_hfield(
-        name=f"{OWN_GROUND}_{len(builder.spec.hfields)}",
-        size=(half_x, half_y, relief, depth),
-        nrow=rows,
-        ncol=columns,
-        userdata=model.hfield_data[first : first + rows * columns],
-    )
-    added = builder.body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_HFIELD,
-        hfieldname=field.name,
-        pos=position + CORNER,
-        rgba=color,
-    )
-    builder.geometries.append(TileGeom(added, color, field))
+    heights = model.hfield_data[first : first + rows * columns].reshape(rows, columns)
+    builder.height_field(heights, (half_x, half_y, relief, depth), position, color)
 
 
 def _demand_inside(low: np.ndarray, high: np.ndarray, name: str) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from renet.errors import RenetError, unknown_name
 
@@ -54,7 +55,7 @@ class BuiltTile:
 
 
 class TileBuilder:
-    """Adds boxes to a tile; coordinates are relative to a point of it, by default its middle, m.
+    """Adds geoms to a tile; coordinates are relative to a point of it, by default its middle, m.
 
     A tile is one body, so that engines can skip those far away.
     """
@@ -74,12 +75,65 @@ class TileBuilder:
     def box(self, x: Range, y: Range, z: Range, color: Color = STONE) -> mujoco.MjsGeom:
         """Add an axis-aligned box, given its range in each direction."""
         low, high = np.array([x, y, z]).T
-        middle = (low + high) / 2 + (*self.origin, 0.0)
+        return self.turned_box((low + high) / 2, (high - low) / 2, (1.0, 0.0, 0.0, 0.0), color)
+
+    def turned_box(
+        self,
+        middle: ArrayLike,
+        half: ArrayLike,
+        quaternion: ArrayLike,
+        color: Color = STONE,
+    ) -> mujoco.MjsGeom:
+        """Add a box in any orientation.
+
+        Args:
+            middle: Middle of the box, [3] m.
+            half: Half of its sides, [3] m.
+            quaternion: Rotation of the box, (w, x, y, z).
+            color: Color of the box.
+        """
         geom = self.body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX, size=(high - low) / 2, pos=middle, rgba=color
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=half,
+            pos=np.add(middle, (*self.origin, 0.0)),
+            quat=quaternion,
+            rgba=color,
         )
         self.geometries.append(TileGeom(geom, color))
         return geom
+
+    def height_field(
+        self,
+        heights: np.ndarray,
+        size: ArrayLike,
+        middle: ArrayLike = (0.0, 0.0, 0.0),
+        color: Color = STONE,
+    ) -> None:
+        """Add a height field.
+
+        Args:
+            heights: Heights of its samples, [rows, columns], from 0 to 1 of its relief; rows are
+                along y, columns along x.
+            size: Half of its sides along x and y, its relief, and the thickness of the ground below
+                the relief, [4] m.
+            middle: Middle of the field, at a height of 0 of its relief, [3] m.
+            color: Color of the field.
+        """
+        rows, columns = heights.shape
+        field = self.spec.add_hfield(
+            name=f"field_{len(self.spec.hfields)}",
+            size=size,
+            nrow=rows,
+            ncol=columns,
+            userdata=heights.flatten(),
+        )
+        geom = self.body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_HFIELD,
+            hfieldname=field.name,
+            pos=np.add(middle, (*self.origin, 0.0)),
+            rgba=color,
+        )
+        self.geometries.append(TileGeom(geom, color, field))
 
     def square(self, half: float, z: Range, color: Color = STONE) -> None:
         """Add a square slab around the middle."""
@@ -168,20 +222,7 @@ class Rough(Tile):
         heights[-1] = 0.0
         heights[:, 0] = 0.0
         heights[:, -1] = 0.0
-        field = builder.spec.add_hfield(
-            name=f"rough_{len(builder.spec.hfields)}",
-            size=(TILE / 2, TILE / 2, relief, 0.2),
-            nrow=nodes,
-            ncol=nodes,
-            userdata=heights.flatten(),
-        )
-        geom = builder.body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_HFIELD,
-            hfieldname=field.name,
-            pos=(TILE / 2, TILE / 2, 0.0),
-            rgba=STONE,
-        )
-        builder.geometries.append(TileGeom(geom, STONE, field))
+        builder.height_field(heights, (TILE / 2, TILE / 2, relief, 0.2))
         return 0.0
 
 

@@ -13,6 +13,7 @@ from renet.errors import RenetError
 from renet.interface import CONSTRAINTS, STEPS_PER_TICK
 from renet.models.adaptation import fuse, op_mask
 from renet.models.config import ModelCfg
+from renet.models.estimators import VPEstimator
 from renet.models.expectation import mean_blocks
 from renet.models.memory import EstimatorMemory
 from renet.models.oracle import true_image
@@ -103,13 +104,14 @@ class RenetAlgorithm:
         Raises:
             RenetError: The task lacks an observation group, or the dictionary has an unknown key.
         """
-        groups = (*CRITIC_GROUPS, "far_map", "proprioception", "depth", "difficult")
+        needed = (*CRITIC_GROUPS, *VPEstimator.quantities, "proprioception", "depth", "difficult")
+        groups = dict.fromkeys(needed)
         if missing := [group for group in groups if group not in obs]:
             raise RenetError(
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
                 "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
             )
-        # The mask of OP, and with withholding the age of the image (see `critic_observation`).
+        # The mask of OP, and with withholding the age of the image (see `_perception`).
         columns = 2 if cfg["withholding"]["share"] else 1
         example = obs["difficult"][:, 0]
         critic_size = critic_observation(obs, *[example] * columns).shape[-1]
@@ -135,7 +137,7 @@ class RenetAlgorithm:
             proprioception=proprioception,
             latent=latent,
             mirrored_latent=self._mirrored_latent(mask),
-            critic_observation=self.critic_observation(obs, mask),
+            critic_observation=critic_observation(obs, *self._perception(mask)),
             action=action,
             mean=distribution.mean,
         )
@@ -153,11 +155,11 @@ class RenetAlgorithm:
         perception = self.model.cfg.perception
         return op_mask(perception, self.iteration, obs["difficult"], self.adaptation.period)
 
-    def critic_observation(self, obs: TensorDict, mask: Tensor) -> Tensor:
-        """Concatenate the critics' observation of the present state, [N, C]."""
+    def _perception(self, mask: Tensor) -> tuple[Tensor, ...]:
+        """Return columns [N] for the critics: with withholding the image's age, and OP's mask."""
         if not self.withholding.cfg.share:
-            return critic_observation(obs, mask)
-        return critic_observation(obs, self.memory.image_age, mask)
+            return (mask,)
+        return (self.memory.image_age, mask)
 
     def _tick(self, obs: TensorDict, mask: Tensor) -> None:
         """Advance the estimators, and record their inputs and targets."""
@@ -189,17 +191,18 @@ class RenetAlgorithm:
             latent_op=latent_op,
             latent_vp=latent_vp,
             op_mask=mask,
-            velocity=obs["velocity"],
-            feet_height=obs["feet_height"],
-            height_map=obs["height_map"],
-            far_map=obs["far_map"],
+            # Each head's target is the observation group of the same name.
+            **{quantity: obs[quantity] for quantity in VPEstimator.quantities},
         )
 
     def _blocks(self, image: Tensor) -> Tensor:
         """Return the blocks of images [N, 48, 64], [N, 192]; [N, 0] without an expectation."""
         if self.model.expectation is None:
             return image.new_zeros(len(image), 0)
-        return mean_blocks(self.supervision.grow_grass(image.float())).half()
+        image = image.float()
+        if self.supervision.grass is not None:
+            image = self.supervision.grass.before_robots(image)
+        return mean_blocks(image).half()
 
     @torch.no_grad()
     def process_env_step(
@@ -247,7 +250,7 @@ class RenetAlgorithm:
 
         # Values and log-probabilities of all states, in one batch each.
         steps["value"] = self.model.critics(steps["critic_observation"])
-        last = self.critic_observation(obs, self.op_mask(obs))
+        last = critic_observation(obs, *self._perception(self.op_mask(obs)))
         self._last_value = self.model.critics(normalize(last))
         steps["log_prob"] = self.model.actor.log_prob(steps["mean"], steps["action"])
 

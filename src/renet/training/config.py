@@ -238,10 +238,3 @@ def from_dict(cls: type[_T], values: dict[str, Any]) -> _T:
     source = f"the settings of {cls.__name__}"
     remedy = "the configuration was written by another version of renet"
     return from_json(cls, values, source, remedy)
-
-
-def to_tuples(value: Any) -> Any:
-    """Convert lists of a JSON value, also nested ones, to tuples."""
-    if isinstance(value, list):
-        return tuple(map(to_tuples, value))
-    return value

@@ -14,8 +14,9 @@ from torch.distributions import Normal, kl_divergence
 
 from renet.models.actor_critic import Actor, Critics
 from renet.models.symmetry import Mirror
+from renet.tasks.schedule import value_at
 from renet.training import distributed
-from renet.training.config import NP3OCfg, value_at
+from renet.training.config import NP3OCfg
 from renet.training.precision import compute_in, side_by_side
 from renet.training.storage import PolicyRollout
 

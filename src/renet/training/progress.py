@@ -11,8 +11,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from renet.curves import LEVEL
 from renet.terminal import LINE_EVERY, time_text
-from renet.training.metrics import LEVEL
 from renet.training.runner import RenetRunner
 
 RECENT = 20

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from renet.errors import RenetError
 from renet.tasks.env import RenetEnvCfg
-from renet.training.config import RenetRunnerCfg, to_tuples
+from renet.training.config import RenetRunnerCfg
 
 _T = TypeVar("_T")
 PACKAGE = Path(__file__).parents[1]
@@ -45,6 +45,13 @@ def to_json(value: Any) -> Any:
         return str(item)
 
     return json.loads(json.dumps(value, default=convert))
+
+
+def to_tuples(value: Any) -> Any:
+    """Convert lists of a JSON value, also nested ones, to tuples."""
+    if isinstance(value, list):
+        return tuple(map(to_tuples, value))
+    return value
 
 
 def differences(old: Any, new: Any, name: str) -> Iterator[str]:

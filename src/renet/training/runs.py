@@ -11,7 +11,7 @@ from typing import Any
 
 from renet.errors import RenetError, reason
 from renet.folders import new_folder
-from renet.options import LOGS, resumed_folder
+from renet.options import LOGS
 from renet.training import checkpoint as checkpoints
 from renet.training.runner import CHECKPOINTS
 
@@ -67,11 +67,6 @@ def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
             why = f"cannot write to {root}: {reason(error)}. Choose another --log-root"
             raise RenetError(why) from error
     raise AssertionError
-
-
-def resolve_resume(resume: str, root: Path | None, experiment: str) -> Path:
-    """Find the checkpoint that `--resume` names; raises RenetError if there is none."""
-    return checkpoints.find(resumed_folder(resume, root, experiment))
 
 
 @contextmanager

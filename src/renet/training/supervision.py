@@ -1,22 +1,18 @@
 """Supervised losses: Loss_OP (RENet eq. 1), Loss_VP (eq. 2), Loss_ad (eq. 4); expected images."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from renet.faults import Frames
-from renet.faults.vegetation import TallGrass
-from renet.interface import DEPTH_SHAPE, FRAMES
 from renet.models.expectation import Recollection
 from renet.models.him import target_view
 from renet.models.renet import RENet
+from renet.tasks.schedule import value_at
 from renet.training import distributed
-from renet.training.config import SupervisionCfg, value_at
+from renet.training.config import SupervisionCfg
+from renet.training.grass import Grass
 from renet.training.precision import compute_in, side_by_side
 from renet.training.storage import TickRollout
 
@@ -26,14 +22,6 @@ expectation of images belongs."""
 AUTOENCODER_SHARE = 0.4
 """Largest share of a mini-batch's image pairs that the autoencoder learns from. A few robots have
 few pairs, all much alike: from all of them it would learn longer than both estimators together."""
-GRASS_SHARE = 0.15
-"""Share of the detector's image pairs with grass. With twice as many it misses other faults."""
-GRASS_EVERY = 7
-"""Robots from one that learns to expect images with grass to the next: a share of 0.14."""
-GRASS_BLADES = 20
-"""Largest number of blades in view: the fault `tall_grass` at severity 2 of 5."""
-GRASS_VIEWS = 512
-"""Number of different views of blades."""
 
 
 @dataclass
@@ -79,8 +67,20 @@ class Supervision:
         # the last bit of a gradient's norm depends.
         likelihoods = _parameters(model.autoencoder, model.vp.map_error_head, model.expectation)
         self._likelihoods = dict.fromkeys(likelihoods)
+        # A scale of a quantity is a weight of its squared error. Other losses have a weight of 1.
+        velocity = cfg.velocity_scale**2
+        height = cfg.height_scale**2
+        self._weights = {
+            "op_velocity": velocity,
+            "vp_velocity": velocity,
+            "vp_feet_height": height,
+            "vp_height_map": height,
+            "vp_far_map": height,
+        }
+        self.grass: Grass | None = None
+        """Grass before images, through which the variance detector learns to look."""
         if model.cfg.detector == "variance":
-            self._grass = draw_grass().to(self.parameters[0].device)
+            self.grass = Grass(self.parameters[0].device)
         rate = value_at(cfg.learning_rate, 0.0)
         self.optimizer = torch.optim.Adam(self.parameters, lr=rate, fused=True)
 
@@ -150,12 +150,6 @@ class Supervision:
             batches.append(batch)
         return batches
 
-    def grow_grass(self, images: Tensor) -> Tensor:
-        """Return images [N, 48, 64] from which to expect others, some of them with grass."""
-        if self.model.cfg.detector != "variance":
-            return images
-        return grow_grass_before_some(images, self._grass)
-
     def _training_ticks(self, name: str, rollout: TickRollout) -> Tensor:
         """Return a mask of the ticks that train the estimator `name` (op or vp), [K, N] bool."""
         # The oracle is a VP that sees the true height map.
@@ -171,8 +165,8 @@ class Supervision:
         # Compute the gradients of VP beside all others, with which it shares no parameter.
         self.optimizer.zero_grad()
         blind_losses, vp_losses = side_by_side(
-            partial(self._gradient, self._blind_losses, rollout, batch),
-            partial(self._gradient, self._vp_losses, rollout, batch),
+            lambda: self._backward(self._blind_losses(rollout, batch)),
+            lambda: self._backward(self._vp_losses(rollout, batch)),
         )
 
         # Average the gradients of the learners over ranks.
@@ -188,57 +182,22 @@ class Supervision:
         self.optimizer.step()
         return blind_losses | vp_losses
 
-    def _gradient(
-        self,
-        terms: Callable[[TickRollout, MiniBatch], dict[str, Tensor]],
-        rollout: TickRollout,
-        batch: MiniBatch,
-    ) -> dict[str, Tensor]:
-        """Compute the gradients of a sum of losses, scaled as `SupervisionCfg` says.
-
-        Args:
-            terms: Function that returns the losses by name.
-            rollout: The ticks.
-            batch: Environments to learn from.
-
-        Returns:
-            The losses, detached and not scaled.
-        """
-        # A scale of the quantity is a weight of its squared error.
-        weights = {
-            "velocity": self.cfg.velocity_scale**2,
-            "feet_height": self.cfg.height_scale**2,
-            "height_map": self.cfg.height_scale**2,
-            "far_map": self.cfg.height_scale**2,
-        }
-        losses = terms(rollout, batch)
+    def _backward(self, losses: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Compute the gradients of the weighted sum of losses; returns the losses, detached."""
         if losses:
-            weighted = []
-            for name, loss in losses.items():
-                head = name[len("vp_") :]
-                weighted.append(loss * weights.get(head, 1.0))
+            weighted = [loss * self._weights.get(name, 1.0) for name, loss in losses.items()]
             torch.stack(weighted).sum().backward()
         return {name: loss.detach() for name, loss in losses.items()}
 
     def _blind_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
         """Compute the losses of OP and of the detectors, which share no parameter with VP's."""
-        losses = self._losses_of("op", rollout, batch.op)
+        losses = self.estimator_losses("op", rollout.environments(batch.op))
         losses |= self._anomaly_losses(rollout, batch)
         return losses | self._expectation_losses(rollout, batch)
 
     def _vp_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
         """Compute the losses of VP."""
-        return self._losses_of("vp", rollout, batch.vp)
-
-    def _losses_of(self, name: str, rollout: TickRollout, index: Tensor) -> dict[str, Tensor]:
-        """Compute `estimator_losses` in the environments `index`, [B].
-
-        Without environments the result is empty. Gradients of zero would not do: Adam's momentum
-        would move an estimator that does not learn.
-        """
-        if len(index) == 0:
-            return {}
-        return self.estimator_losses(name, rollout.environments(index))
+        return self.estimator_losses("vp", rollout.environments(batch.vp))
 
     def estimator_losses(self, name: str, rollout: TickRollout) -> dict[str, Tensor]:
         """Compute all losses of an estimator over the ticks that train it.
@@ -248,8 +207,12 @@ class Supervision:
             rollout: The ticks.
 
         Returns:
-            Scalars by name, such as `vp_height_map`; a head that the model lacks has none.
+            Scalars by name, such as `vp_height_map`; a head that the model lacks has none. Without
+            robots there are no losses: gradients of zero would not do, because Adam's momentum
+            would move an estimator that does not learn.
         """
+        if not rollout.fresh.shape[1]:
+            return {}
         counts = self._training_ticks(name, rollout).float()
         estimator = getattr(self.model, name)
         him = getattr(self.model, f"{name}_him")
@@ -290,8 +253,8 @@ class Supervision:
         if not batch.images:
             return {}
         pairs = self._draw_pairs(rollout, batch)
-        if self.model.cfg.detector == "variance":
-            pairs = grow_grass(pairs, self._grass)
+        if self.grass is not None:
+            pairs = self.grass.before_pairs(pairs)
         return self.model.autoencoder.loss(pairs)
 
     def _expectation_losses(self, rollout: TickRollout, batch: MiniBatch) -> dict[str, Tensor]:
@@ -345,46 +308,3 @@ def _true_indices(mask: Tensor, count: int) -> Tensor:
     The caller knows their number, so that this does not wait for a GPU to count them.
     """
     return torch.nonzero_static(mask, size=count).squeeze(-1)
-
-
-def draw_grass(seed: int = 0) -> Tensor:
-    """Draw random views of blades of grass alone, [512, 48, 64].
-
-    Pixels are depths in [0, 1]: 1 where there is no blade, 0 where one is not measured.
-    """
-    rng = np.random.default_rng(seed)
-    background = Frames.healthy(np.ones((1, *DEPTH_SHAPE), np.float32))
-    counts = rng.integers(1, GRASS_BLADES + 1, GRASS_VIEWS)
-    views = []
-    for count in counts:
-        grass = TallGrass(count, [rng])
-        views.append(grass.corrupt(background, np.zeros(1)).image[0])
-    return torch.from_numpy(np.stack(views))
-
-
-def grow_grass_before_some(images: Tensor, views: Tensor) -> Tensor:
-    """Put grass before every seventh robot's image, each time with a random view of blades.
-
-    Args:
-        images: Images of all robots, [N, 48, 64].
-        views: Views of blades (see `draw_grass`), [V, 48, 64].
-    """
-    overgrown = images.clone()
-    some = overgrown[::GRASS_EVERY]
-    choice = torch.randint(len(views), (len(some),), device=images.device)
-    overgrown[::GRASS_EVERY] = torch.minimum(some, views[choice])
-    return overgrown
-
-
-def grow_grass(pairs: Tensor, views: Tensor) -> Tensor:
-    """Put grass before the first 15 % of image pairs, each image with a random view of blades.
-
-    Args:
-        pairs: Image pairs, [B, 2, 48, 64].
-        views: Views of blades (see `draw_grass`), [V, 48, 64].
-    """
-    count = round(GRASS_SHARE * len(pairs))
-    choice = torch.randint(len(views), (count, FRAMES), device=pairs.device)
-    # The nearer surface hides the other one.
-    overgrown = torch.minimum(pairs[:count], views[choice])
-    return torch.cat([overgrown, pairs[count:]])

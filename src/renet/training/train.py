@@ -24,20 +24,28 @@ from renet.curves import CURVES
 from renet.errors import RenetError, printable
 from renet.files import write_atomically
 from renet.folders import lock
-from renet.options import STARTED, TASK, RecipeCfg, TrainOptions, check_device, seconds
+from renet.options import (
+    STARTED,
+    TASK,
+    RecipeCfg,
+    TrainOptions,
+    check_device,
+    resumed_folder,
+    seconds,
+)
 from renet.settings_file import read_settings
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.tasks.terrains import add_own_ground
 from renet.terrain.own_ground import GroundFile
 from renet.training import checkpoint as checkpoints
 from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
-from renet.training.configuration import PARTS, configured, options_of, task_of
+from renet.training.config_file import PARTS, configured, options_of, task_of
 from renet.training.films import Films, filming
 from renet.training.metrics import write_run_report
 from renet.training.progress import Report
 from renet.training.provenance import differences, restore, to_json
 from renet.training.runner import RenetRunner
-from renet.training.runs import new_run, resolve_resume, resumed_run, signals
+from renet.training.runs import new_run, resumed_run, signals
 from renet.version import code_version
 
 CONFIG_FILE = "config.json"
@@ -98,7 +106,7 @@ class TrainCfg(TrainOptions):
         paths, _ = parser.parse_known_args(arguments)
         task = next((a for a in arguments[:1] if not a.startswith("-")), "")
         if paths.resume is not None:
-            path = resolve_resume(paths.resume, paths.log_root, task)
+            path = checkpoints.find(resumed_folder(paths.resume, paths.log_root, task))
             return cls.resumed(checkpoints.load_state(path), task)
         if paths.config is not None:
             return cls.from_file(paths.config, task)
@@ -342,7 +350,7 @@ def checkpoint_of(cfg: TrainCfg) -> tuple[Path | None, dict[str, Any]]:
     """
     if cfg.resume is None:
         return None, {}
-    path = resolve_resume(cfg.resume, cfg.log_root, cfg.agent.experiment_name)
+    path = checkpoints.find(resumed_folder(cfg.resume, cfg.log_root, cfg.agent.experiment_name))
     state = checkpoints.load_state(path)
     if state.get("iteration", 0) >= cfg.agent.max_iterations:
         raise RenetError(

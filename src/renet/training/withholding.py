@@ -3,12 +3,9 @@
 import torch
 from torch import Tensor
 
-from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.interface import TICK_DT
 from renet.tasks.schedule import value_at
 from renet.training.config import WithholdingCfg
-
-TICK = STEPS_PER_TICK * CONTROL_DT
-"""Seconds between two images."""
 
 
 class Withholding:
@@ -40,7 +37,7 @@ class Withholding:
         if not self.cfg.share:
             return torch.ones_like(fresh)
         can_begin = self._robots & ~fresh & (self._remaining <= 0.0)
-        self._remaining = (self._remaining - TICK).clamp_min(0.0) * ~fresh
+        self._remaining = (self._remaining - TICK_DT).clamp_min(0.0) * ~fresh
 
         # Shortest span and mean time between spans, which may differ on easier tiles.
         chance, length = torch.rand(2, len(fresh), device=fresh.device)
@@ -51,7 +48,7 @@ class Withholding:
         sight = sight.masked_fill(easy, value_at(self.cfg.easier_sight, steps))
 
         # Begin new spans, with lengths log-uniform between the shortest and the longest.
-        begins = can_begin & (chance < TICK / sight)
+        begins = can_begin & (chance < TICK_DT / sight)
         span = shortest * (self.cfg.longest / shortest) ** length
         self._remaining = torch.where(begins, span, self._remaining)
         return self._remaining <= 0.0

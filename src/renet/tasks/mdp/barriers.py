@@ -22,6 +22,11 @@ def before_barrier(env: ManagerBasedRlEnv) -> Tensor:
     return on_barriers & (command.speed > 0.0) & is_near
 
 
+def must_stand(env: ManagerBasedRlEnv) -> Tensor:
+    """Return a mask of robots that are told to stand, or that a barrier stops, [N] bool."""
+    return goal(env).stands | before_barrier(env)
+
+
 def has_barriers(env: ManagerBasedRlEnv) -> bool:
     """Return True if the tiles of a task have walls or ledges."""
     terrain = tile_terrain(env)

@@ -1,8 +1,10 @@
 """Rewards of the paper (RENet, Method A, footnote, and eq. 6) and of the recipe.
 
-Weights are in parkour_env_cfg.py and in training/recipe.py. Velocities and directions in the world
-frame are horizontal: <v, n_yaw> has no vertical part. Classes with `reset` keep a value from one
-control step to the next, so that they are called once in each step.
+Weights are in parkour_env_cfg.py and in training/recipe.py. The robot's pose and velocity come from
+base_state.py, its command from `commands.goal`, and whether it must stand from
+`barriers.must_stand`. Velocities and directions in the world frame are horizontal: <v, n_yaw> has
+no vertical part. Classes with `reset` keep a value from one control step to the next, so that they
+are called once in each step.
 """
 
 from typing import Any
@@ -13,7 +15,7 @@ from mjlab.managers.reward_manager import RewardTermCfg
 from torch import Tensor
 
 from renet.interface import LEGS
-from renet.tasks.mdp.barriers import before_barrier
+from renet.tasks.mdp.barriers import before_barrier, must_stand
 from renet.tasks.mdp.base_state import base_position, base_rotation, base_velocity
 from renet.tasks.mdp.commands import goal
 from renet.tasks.sensors import CALF_CONTACT, FEET_CONTACT, THIGH_TRUNK_CONTACT
@@ -167,7 +169,7 @@ class stepping:
         touches = env.scene[FEET_CONTACT].data.found > 0
         self._air = (self._air + env.step_dt) * ~touches
         swings = (self._air > 0.0) & (self._air <= swing)
-        return swings.sum(-1).clamp_max(2) / 2 * ~(goal(env).stands | before_barrier(env))
+        return swings.sum(-1).clamp_max(2) / 2 * ~must_stand(env)
 
     def reset(self, env_ids: Tensor | slice | None = None) -> None:
         self._air[env_ids] = 0.0
@@ -197,8 +199,7 @@ class standing_motion(VelocityFilter):
     """
 
     def __call__(self, env: ManagerBasedRlEnv) -> Tensor:
-        still = goal(env).stands | before_barrier(env)
-        return self.smoothed(env).square().sum(-1) * still
+        return self.smoothed(env).square().sum(-1) * must_stand(env)
 
 
 class upright_tracking:

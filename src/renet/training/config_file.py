@@ -14,8 +14,7 @@ from typeguard import TypeCheckError, check_type
 from renet.errors import RenetError, unknown_name
 from renet.interface import OWN_GROUND
 from renet.options import TrainOptions
-from renet.training.config import to_tuples
-from renet.training.provenance import PLAIN, to_json
+from renet.training.provenance import PLAIN, to_json, to_tuples
 
 _T = TypeVar("_T")
 PARTS = ("agent", "env")
