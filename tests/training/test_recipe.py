@@ -24,11 +24,6 @@ def test_value_is_reached_at_phase_end():
     assert value_at(schedule, 1e9) == 1.0
 
 
-def test_a_phase_without_a_value_is_an_error():
-    with pytest.raises(ValueError, match="zip"):
-        over_phases(1.0, 2.0)
-
-
 def test_standing_and_narrow_gaps_begin_late():
     params = TrainCfg.from_task(TASK).env.curriculum["level"].params
     assert value_at(params["easier_share"], 30e6) == 0.0
