@@ -178,32 +178,6 @@ def test_a_missing_module_is_named_with_what_to_do(capsys, monkeypatch, name, me
     assert (code, err.count("\n"), message in err) == (2, 1, True), err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("trian",), "unknown command 'trian': did you mean train?"),
-        (("evaluate", "fautls"), "unknown command `renet evaluate` 'fautls': did you mean faults?"),
-        (("bundle", "x"), "unknown command `renet bundle` 'x': choose one of inspect, card"),
-        (("deploy", "--fault", "blakout@5s"), "unknown fault 'blakout': did you mean blackout?"),
-        (("train", "Renet-Go1-Parkuor"), "did you mean Renet-Go1-Parkour or"),
-        (("train", "Renet-Go1-Flat", "--num-envs", "0"), "environments must be at least 1"),
-        (("train", "Renet-Go1-Flat", "--device", "cuda:7"), "device cuda:7 is absent"),
-        (("train", "Renet-Go1-Flat", "--device", "tpu"), "unknown device 'tpu'"),
-        (("train", "Renet-Go1-Flat", "--time-budget", "soon"), "not a duration"),
-        (("train", "Renet-Go1-Flat", "--resume", "nowhere"), "nowhere does not exist"),
-        (("train", "Renet-Go1-Flat", "--log-root", str(STATE)), "Choose another --log-root"),
-        (("export", "nowhere"), "no checkpoint at nowhere"),
-        (("bundle", "inspect", "x" * 300), "File name too long"),
-    ],
-)
-def test_mistakes_are_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    code, _, err = run(capsys, *arguments)
-    (line,) = (line for line in err.splitlines() if line.startswith("renet: "))
-    assert (code, message in line, "Traceback" in err) == (2, True, False), err
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_damaged_checkpoint_is_named(capsys, tmp_path):
     folder = tmp_path / "it_00000001"
     folder.mkdir()

@@ -18,12 +18,15 @@ from renet.page.writer import WEB
 WALK = ("deploy", "--camera", "sim", "--seconds", "0.1")
 SCENE = (*WALK, "--scene")
 REPLAY = ("deploy", "--camera", "replay", "--recording")
-TRAIN = ("train", "Renet-Go1-Flat", "--config")
+FLAT = ("train", "Renet-Go1-Flat")
+TRAIN = (*FLAT, "--config")
 SHIPS = "go1-parkour or go1-driven or go2-parkour, which ship"
 
 MISTAKES: dict[tuple[str, ...], tuple[str, str]] = {
     # Names: the nearest ones, or all.
     ("deplyo",): ("deplyo", "did you mean deploy?"),
+    ("evaluate", "fautls"): ("unknown command `renet evaluate` 'fautls'", "did you mean faults?"),
+    ("bundle", "x"): ("unknown command `renet bundle` 'x'", "choose one of inspect, card"),
     ("deploy", "nowhere"): ("nowhere", SHIPS),
     ("deploy", "go1-parkuor"): ("go1-parkuor", "did you mean go1-parkour or go2-parkour"),
     (*WALK, "--fault", "blakout"): ("blakout", "did you mean blackout?"),
@@ -38,9 +41,12 @@ MISTAKES: dict[tuple[str, ...], tuple[str, str]] = {
     ("deploy", "--robot", "go3"): ("go3", "choose one of mujoco, go1, go2"),
     ("deploy", "--camera", "realsens"): ("realsens", "did you mean realsense?"),
     ("train", "Renet-Go1-Parkuor"): ("Renet-Go1-Parkuor", "did you mean Renet-Go1-Parkour"),
+    (*FLAT, "--device", "cuda:7"): ("device cuda:7 is absent", "CUDA devices"),
     ("identify", "odd.csv", "--robot", "go5"): ("go5", "choose one of Unitree Go1, Unitree Go2"),
     # Bundles, recordings, configurations and results that are none.
     ("bundle", "inspect", "file"): ("file", SHIPS),
+    ("bundle", "inspect", "x" * 300): ("File name too long", "give a shorter path"),
+    ("export", "nowhere"): ("no checkpoint at", "nowhere"),
     ("bundle", "inspect", "folder"): ("folder is no bundle, without manifest.json", SHIPS),
     ("bundle", "inspect", "damaged"): ("manifest.json is not JSON", "line 1 column 2"),
     (*REPLAY, "nowhere"): ("recording nowhere", "give the path of one that exists"),
@@ -68,6 +74,10 @@ MISTAKES: dict[tuple[str, ...], tuple[str, str]] = {
     # Where nothing can be written.
     (*WALK, "--out", "file"): ("cannot write to file", "file is a file; give another path"),
     (*WALK, "--out", "file/a"): ("cannot write to file/a", "file is a file; give another path"),
+    ("train", "Renet-Go1-Flat", "--log-root", "file"): (
+        "to file: Not a directory",
+        "Choose another",
+    ),
     ("page", "--out", "file"): ("file exists and is not a page", "choose another folder"),
 }
 """Words that name what is wrong, and words that say what to do, by command line."""

@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -28,9 +27,6 @@ from renet.robots.model import rename_parts, simulation_model
 from renet.selector import SelectorSpec
 from renet.tasks import env_cfg, make_env, mdp
 from renet.training.export import camera_spec, export_models, robot_spec
-
-ROOT = Path(__file__).parents[1]
-FILES = ("add_reward", "add_tile", "add_fault", "add_robot", "add_study", "third_party_policy")
 
 
 @pytest.fixture
@@ -63,12 +59,6 @@ def test_the_deployment_stands_up_walks_and_remembers(load, capsys):
     assert "remembers: the image is blank" in capsys.readouterr().out
     with pytest.raises(RenetError, match="unknown mode 'coin'"):
         deploy.main(deploy.Cfg(mode="coin"))
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_each_recipe_is_one_file_that_the_page_names(name):
-    assert (ROOT / "examples" / f"{name}.py").is_file()
-    assert f"examples/{name}.py" in (ROOT / "docs" / "extend.md").read_text()
 
 
 def test_the_added_reward_penalises_turning(load):

@@ -95,10 +95,3 @@ def test_hooks_before_a_commit_are_checks_of_ci():
     checks = (ROOT / ".ci" / "run").read_text()
     for hook in config["repos"][0]["hooks"]:
         assert hook["entry"].removesuffix(" --force-exclude") in checks
-
-
-def test_forms_ask_for_the_command_and_the_version():
-    forms = [yaml.safe_load(p.read_text()) for p in ROOT.glob(".github/ISSUE_TEMPLATE/*.yml")]
-    bug = next(form for form in forms if "bug" in form.get("labels", ()))
-    required = [field for field in bug["body"] if field.get("validations", {}).get("required")]
-    assert len(required) == 2

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy
 
+import second_estimator
 from renet.bundle import Bundle
 from renet.errors import RenetError
 from renet.evaluation.trace import Trace
@@ -121,7 +122,9 @@ def test_a_single_training_has_no_interval():
         main(Cfg((Path("go1-parkour"),), (Path("go1-parkour"),)))
 
 
-def test_robots_walk_with_every_camera_and_pilot(tmp_path: Path):
+def test_robots_walk_with_every_kind_of_camera_and_pilot(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(second_estimator, "FAULTS", ("blackout",))
+    monkeypatch.setattr(second_estimator, "SECONDS", 4.0)
     out = tmp_path / "rows.json"
     bundle = Bundle.load().path
     cfg = Cfg((bundle, bundle), (bundle, bundle), out, robots=1, levels={"gap": 1})

@@ -94,11 +94,6 @@ def test_a_driver_of_a_package_runs_until_it_ends(terminal, monkeypatch, bundle_
     assert run.header["port"] == PORT
 
 
-def test_a_driver_has_less_than_thirty_lines():
-    body = program("robots", "my_sdk").split("class MyRobot:")[1].split("\n\n\n")[0]
-    assert len(body.splitlines()) < 30
-
-
 def test_reading_a_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     deploy(DeployCfg(seconds=0.2))

@@ -20,7 +20,6 @@ from .fakes import FakeEvaluator
 
 SIMULATED = ["--terrains", "flat", "--robots", "2", "--seconds", "2"]
 """A calibration that is over at once: a healthy run, and one through grass."""
-PHASES = [(Rollout, "run"), (results, "write_json"), (study, "write_csv"), (figures, "save_figure")]
 
 
 def interrupt(monkeypatch, owner, name: str, call: int = 1, number: int = signal.SIGINT) -> None:
@@ -48,8 +47,15 @@ def handlers():
     signal.signal(signal.SIGTERM, before)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("owner", "name"), PHASES)
+@pytest.mark.parametrize(
+    ("owner", "name", "number"),
+    [
+        (Rollout, "run", signal.SIGINT),
+        (results, "write_json", signal.SIGTERM),
+        (study, "write_csv", signal.SIGINT),
+        (figures, "save_figure", signal.SIGTERM),
+    ],
+)
 def test_an_interrupted_study_says_how_to_go_on_and_does(
     tmp_path, monkeypatch, capsys, owner, name, number
 ) -> None:
@@ -71,16 +77,15 @@ def test_an_interrupted_study_says_how_to_go_on_and_does(
     assert kept.items() <= files(tmp_path).items(), "what had finished was run again"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
-    ("owner", "name", "call", "source"),
+    ("owner", "name", "call", "source", "number"),
     [
-        (calibrate, "recorded_scores", 1, ["--log", "walk.log"]),
-        (calibrate, "write_manifest", 1, ["--log", "walk.log"]),
-        (Rollout, "run", 1, SIMULATED),
-        (Rollout, "run", 2, SIMULATED),
-        (calibrate, "calibrate_monitors", 1, SIMULATED),
-        (calibrate, "write_manifest", 1, SIMULATED),
+        (calibrate, "recorded_scores", 1, ["--log", "walk.log"], signal.SIGINT),
+        (calibrate, "write_manifest", 1, ["--log", "walk.log"], signal.SIGTERM),
+        (Rollout, "run", 1, SIMULATED, signal.SIGTERM),
+        (Rollout, "run", 2, SIMULATED, signal.SIGINT),
+        (calibrate, "calibrate_monitors", 1, SIMULATED, signal.SIGTERM),
+        (calibrate, "write_manifest", 1, SIMULATED, signal.SIGINT),
     ],
 )
 def test_an_interrupted_calibration_leaves_the_bundle(
@@ -101,8 +106,10 @@ def test_an_interrupted_calibration_leaves_the_bundle(
     assert files(bundle) == before
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("name", ["load_networks", "anomaly_score"])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("load_networks", signal.SIGINT), ("anomaly_score", signal.SIGTERM)],
+)
 def test_an_interrupted_export_leaves_the_bundle(
     tmp_path, monkeypatch, capsys, name, number
 ) -> None:
@@ -116,8 +123,10 @@ def test_an_interrupted_export_leaves_the_bundle(
     assert files(bundle) == before
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("owner", "name"), [(video, "film"), (demo, "demo_page")])
+@pytest.mark.parametrize(
+    ("owner", "name", "number"),
+    [(video, "film", signal.SIGTERM), (demo, "demo_page", signal.SIGINT)],
+)
 def test_an_interrupted_demo_leaves_no_half_page(
     tmp_path, monkeypatch, capsys, owner, name, number
 ) -> None:

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import onnx
-import onnx.parser
 import pytest
 
 from renet.bundle import Bundle, pretrained
@@ -18,6 +16,7 @@ from renet.evaluation.play import PlayCfg, bundle_folder, opened, run_play
 from renet.evaluation.trace import Trace
 from renet.robots import GO1
 from renet.tasks import VISUAL_GO1
+from tests.evaluation.policies import joint_model, save_model, write_adapter
 
 CHECKPOINT = pretrained("checkpoint")
 THEIRS = {"policy": Path("mine.onnx"), "adapter": "onnx-depth"}
@@ -90,8 +89,8 @@ def films(monkeypatch):
 
 
 def test_somebody_elses_policy_walks_with_a_failing_and_a_healthy_camera(tmp_path, films):
-    onnx.save(onnx.parser.parse_model(CONSTANT), tmp_path / "constant.onnx")
-    cfg = PlayCfg(policy=tmp_path / "constant.onnx", adapter="onnx-depth", out=tmp_path / "a.mp4")
+    model = save_model(tmp_path / "constant.onnx", CONSTANT)
+    cfg = PlayCfg(policy=model, adapter="onnx-depth", out=tmp_path / "a.mp4")
     run_play(replace(cfg, terrain="flat", fault=("blackout@0.5s",), seconds=1.0, viewer="none"))
     ((trace, titles),) = films
     assert titles == {0: "healthy", 1: "camera"}
@@ -103,15 +102,9 @@ def test_somebody_elses_policy_walks_with_a_failing_and_a_healthy_camera(tmp_pat
 
 
 def test_a_policy_without_a_camera_walks_alone(tmp_path, films):
-    text = '<ir_version: 8, opset_import: ["" : 17]>\nt (float[N, 12] x) => (float[N, 12] y)'
-    onnx.save(onnx.parser.parse_model(f"{text} {{ y = Sub (x, x) }}"), tmp_path / "none.onnx")
-    (tmp_path / "mine.py").write_text(
-        "from renet.evaluation.adapters import base\n\n\n"
-        "class Adapter(base.Adapter):\n"
-        "    def act(self, senses):\n"
-        "        return senses.joint_position + self.model.run(senses.joint_position)[0]\n"
-    )
-    cfg = PlayCfg(policy=tmp_path / "none.onnx", adapter=str(tmp_path / "mine.py"))
+    model = joint_model(tmp_path / "none.onnx", "y = Sub (x, x)")
+    act = "return senses.joint_position + self.model.run(senses.joint_position)[0]"
+    cfg = PlayCfg(policy=model, adapter=write_adapter(tmp_path / "mine.py", act))
     run_play(replace(cfg, terrain="flat", out=tmp_path / "a.mp4", seconds=1.0, viewer="none"))
     ((trace, titles),) = films
     assert titles == {0: "blind"}

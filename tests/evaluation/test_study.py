@@ -13,10 +13,15 @@ import pytest
 from renet import cli
 from renet.bundle import pretrained, read_manifest, write_manifest
 from renet.errors import RenetError
+from renet.evaluation.demo import DemoStudy
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import MAX_RESULT_SIZE, Provenance, read_results, write_summary
 from renet.evaluation.settings import FLAT_GROUND
+from renet.evaluation.studies.backing import BackingStudy
+from renet.evaluation.studies.commands import CommandStudy
+from renet.evaluation.studies.reach import ReachStudy
+from renet.evaluation.studies.stops import StopsStudy
 from renet.registry import register_tasks
 from renet.tasks import VISUAL_GO1
 from renet.tasks.sensors import DEPTH_CAMERA
@@ -132,6 +137,13 @@ WRONG: dict[str, dict[str, list]] = {
     "terrain": {"kinds": [()], "robots": [0], "modes": [("x",), ("camera",) * 2], "seconds": [inf]},
 }
 """Any one of these values is refused, with all others at their defaults."""
+OTHERS = {
+    "backing": BackingStudy,
+    "commands": CommandStudy,
+    "demo": DemoStudy,
+    "reach": ReachStudy,
+    "stops": StopsStudy,
+}
 
 
 @pytest.mark.parametrize(
@@ -153,6 +165,20 @@ WRONG: dict[str, dict[str, list]] = {
         ("memory", {"without": (0.0, 1.0)}, "different times above 0 s"),
         ("memory", {"without": (1.0, 1.0)}, "different times above 0 s"),
         ("memory", {"before": -1.0}, "before must be at least 0 s"),
+        ("memory", {"speed": 0.08}, "no image is missing within 12"),
+        ("demo", {"seconds": 0.0}, None),
+        ("demo", {"seconds": 1.0}, "seconds must be above"),
+        ("demo", {"speed": 0.1}, "seconds must be above"),
+        ("commands", {"seconds": 2.0}, "seconds must exceed 2"),
+        ("backing", {"kinds": ("platform",)}, "choose among gap, stairs_up, stairs_down"),
+        ("backing", {"speed": 0.7}, "speed must be at most 0.6 m/s backward"),
+        ("backing", {"from_edge": 1.3}, "from-edge 1.3 m is not on the ground"),
+        ("reach", {"unseen": ("fly",)}, "unseen"),
+        ("reach", {"metres": ()}, "at least one"),
+        ("reach", {"metres": (0.0,)}, "above 0"),
+        ("reach", {"metres": (3.5,)}, "do not fit"),
+        ("stops", {"kinds": ("gap",)}, "choose among wall, ledge"),
+        ("stops", {"height": 0.0}, "height must be positive"),
         ("camera_use", {"grounds": ("gap",)}, "write KIND:LEVEL, of flat, rough"),
         ("camera_use", {"robots": 1}, "at least 2 robots"),
         ("camera_use", {"speed": 0.0}, "speed must be positive"),
@@ -162,7 +188,7 @@ WRONG: dict[str, dict[str, list]] = {
 )
 def test_settings_that_measure_nothing_are_refused(study, wrong, message):
     with pytest.raises(RenetError, match=message):
-        STUDIES[study](**wrong)
+        (STUDIES | OTHERS)[study](**wrong)
 
 
 def test_files_that_are_no_results_are_refused(tmp_path):

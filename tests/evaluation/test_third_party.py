@@ -7,32 +7,18 @@ import sys
 from hashlib import sha256
 
 import numpy as np
-import onnx.parser
 import pytest
 
 import playground_policy
 import third_party_policy as example
 from renet.errors import RenetError
 from renet.evaluation.studies.faults import FaultStudy
-
-STILL = """
-<ir_version: 8, opset_import: ["" : 17]>
-still (float[N, 45] observation, float[N, 48, 64] depth) => (float[N, 12] action)
-{
-    columns = AveragePool <kernel_shape = [53]> (depth)
-    mean = ReduceMean <axes = [1], keepdims = 0> (columns)
-    little = Constant <value_float = 0.01> ()
-    action = Mul (mean, little)
-}
-"""
-"""Actions are 0.01 of mean depths, to see what the policy is shown."""
+from tests.evaluation.policies import STILL, save_model
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    path = tmp_path_factory.mktemp("theirs") / "still.onnx"
-    onnx.save(onnx.parser.parse_model(STILL), path)
-    return path
+    return save_model(tmp_path_factory.mktemp("theirs") / "still.onnx", STILL)
 
 
 def test_a_blind_policy_sees_nothing_near(model):
@@ -53,10 +39,9 @@ def test_a_blind_policy_sees_nothing_near(model):
 def test_a_model_with_other_inputs_is_told_what_it_is_given(tmp_path, theirs, message):
     size, name = theirs.split("] ")[0] + "]", theirs.split("] ")[1].split(",")[0]
     text = f'<ir_version: 8, opset_import: ["" : 17]>\nt ({theirs}) => ({size} action)'
-    model = onnx.parser.parse_model(f"{text} {{ action = Identity ({name}) }}")
-    onnx.save(model, tmp_path / "theirs.onnx")
+    model = save_model(tmp_path / "theirs.onnx", f"{text} {{ action = Identity ({name}) }}")
     with pytest.raises(RenetError, match=message) as error:
-        example.TheirPolicy(tmp_path / "theirs.onnx", 2)
+        example.TheirPolicy(model, 2)
     assert "\n" not in str(error.value)
 
 
@@ -102,8 +87,8 @@ theirs (float[1, 48] obs) => (float[1, 12] continuous_actions)
 
 
 def test_playgrounds_policy_alone_sees_the_simulator_in_its_own_order(model, tmp_path):
-    onnx.save(onnx.parser.parse_model(PLAYGROUND), tmp_path / "go1_policy.onnx")
-    study = playground_policy.CameraUse(model=tmp_path / "go1_policy.onnx", conditions="nominal")
+    theirs = save_model(tmp_path / "go1_policy.onnx", PLAYGROUND)
+    study = playground_policy.CameraUse(model=theirs, conditions="nominal")
     evaluator = study.make_evaluator()
     env = evaluator.make_env("flat", range(2), 0.6, 1)
     result = env.reset()

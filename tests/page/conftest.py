@@ -2,7 +2,7 @@ import json
 import shutil
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from renet.page.writer import WEB, PageCfg, write_page
 from renet.server import serve_folder
 from renet.training.export import export_models
 from tests.browser import open_browser
-from tests.page.visit import DESKTOP, PHONE, Visit
+from tests.page.visit import DESKTOP, Visit
 
 
 def run_node(script: str, *arguments: object):
@@ -89,19 +89,13 @@ def still_page(node_page: Path, tmp_path_factory) -> Path:
     return write_page(PageCfg((path,), folder / "page"))
 
 
-@contextmanager
-def served(page: Path) -> Iterator[str]:
+@pytest.fixture(scope="session")
+def address(page: Path) -> Iterator[str]:
+    """Where the page is served."""
     with serve_folder(page, 0) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}/"
         server.shutdown()
-
-
-@pytest.fixture(scope="session")
-def address(page: Path) -> Iterator[str]:
-    """Where the page is served."""
-    with served(page) as address:
-        yield address
 
 
 @pytest.fixture(scope="module")
@@ -110,19 +104,23 @@ def browser():
         yield browser
 
 
-@pytest.fixture
-def visit(browser, address):
+@contextmanager
+def visiting(browser, address: str) -> Iterator[Callable[..., Visit]]:
     """Makes visits, each in a window of its own, and ends them without a complaint."""
     visits: list[Visit] = []
 
-    def make(
-        query: str = "", size: dict[str, int] = DESKTOP, at: str = address, scheme: str = "light"
-    ) -> Visit:
-        context = browser.new_context(viewport=size, has_touch=size == PHONE, color_scheme=scheme)
-        visits.append(Visit(context.new_page(), at + query))
+    def make(query: str = "", size: dict[str, int] = DESKTOP, scheme: str = "light") -> Visit:
+        context = browser.new_context(viewport=size, has_touch=True, color_scheme=scheme)
+        visits.append(Visit(context.new_page(), address + query))
         return visits[-1]
 
     yield make
     for one in visits:
         one.page.context.close()
         assert one.complaints == []
+
+
+@pytest.fixture
+def visit(browser, address):
+    with visiting(browser, address) as make:
+        yield make

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from renet.bundle import Bundle
+from renet.bundle import pretrained, read_manifest
 from renet.deploy.cameras.sim import SimCamera
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import FLAT, build_scene
@@ -28,6 +28,9 @@ GROUND = 0.9 - 0.015 * ROWS + 0.002 * COLUMNS - 0.01 * TICKS[:, None, None]
 IMAGES = GROUND + 0.02 * np.random.default_rng(3).standard_normal(GROUND.shape)
 FRAMES = [*zip(IMAGES.clip(0, 1).astype(np.float32), ELAPSED, strict=True)]
 """Ground that comes nearer, with noise, and seconds since the fault."""
+UNEVEN = [name for name in GROUNDS if name != FLAT]
+ROBOTS = {"go1": "go1-parkour", "go2": "go2-parkour"}
+"""Bundle that a link to a robot leads to."""
 
 
 def summary(before: np.ndarray, after: Frames) -> np.ndarray:
@@ -75,10 +78,21 @@ def test_fault_does_what_the_catalogue_says(delivered, name, severity):
     assert (far <= 0.0).all(), far
 
 
-@pytest.mark.parametrize("number", [0, 1], ids=["go1", "go2"])
-@pytest.mark.parametrize("ground", [name for name in GROUNDS if name != FLAT])
-def test_camera_sees_what_the_runtimes_camera_sees(node_page, ground, number):
-    manifest = Bundle.load(node_page / "bundles" / str(number)).manifest
+def link_to(robot: str, ground: str) -> str:
+    return f"?robot={robot}&ground={ground}"
+
+
+@pytest.fixture(scope="module")
+def views(node_page) -> dict[str, list[float]]:
+    """What the page's camera sees, by link."""
+    links = [link_to(robot, ground) for robot in ROBOTS for ground in UNEVEN]
+    return run_node("view.mjs", WEB, node_page, *links)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("ground", UNEVEN)
+def test_camera_sees_what_the_runtimes_camera_sees(views, ground, name):
+    manifest = read_manifest(pretrained(ROBOTS[name]))
     description = find_robot(manifest.robot.name)
     model, height = build_scene(ground, GROUNDS[ground][1], robot=description)
     robot = MujocoRobot(model, manifest.robot, height)
@@ -86,5 +100,4 @@ def test_camera_sees_what_the_runtimes_camera_sees(node_page, ground, number):
     mujoco.mj_forward(robot.model, robot.data)
     its = SimCamera(robot, manifest.camera).depth().ravel()
     assert its.std() > 0.1
-    link = f"?robot={description.name.split()[1].lower()}&ground={ground}"
-    np.testing.assert_allclose(run_node("view.mjs", WEB, node_page, link), its, atol=1e-4)
+    np.testing.assert_allclose(views[link_to(name, ground)], its, atol=1e-4)

@@ -35,9 +35,15 @@ BOXES = """parts => {
 QUICK = """{ const { page } = renetPage;
   const { get } = Object.getOwnPropertyDescriptor(Object.getPrototypeOf(page), "pace");
   Object.defineProperty(page, "pace", {
-    configurable: true, get: () => (%s ? 1 : 4) * get.call(page),
+    configurable: true, get: () => (%s ? 1 : 20) * get.call(page),
   }); } 0"""
-"""Lets time pass four times as quickly until a condition holds."""
+"""Lets time pass as quickly as this machine can simulate until a condition holds."""
+USUAL = "delete renetPage.page.pace"
+"""Lets time pass as it does for visitors."""
+PATIENT = """Object.defineProperty(renetPage.page, "pace", {
+  configurable: true, get: () => (renetPage.stats.behind > 0.05 ? 0 : 1),
+}); 0"""
+"""Lets time stand still while this machine is behind: a page that simulates answers late."""
 WALKS = "renetPage.stats.ready && renetPage.page.simulations[0].walking"
 """Condition that holds once the robots walk."""
 
@@ -48,6 +54,7 @@ class Visit:
     def __init__(self, page, url: str) -> None:
         self.page, self.url = page, url
         self.complaints, self.requests = watch(page)
+        self.pace = USUAL
 
     def load(self, until: str = "renetPage.stats.ready") -> "Visit":
         self.page.goto(self.url)
@@ -61,7 +68,13 @@ class Visit:
         """Wait until a condition of the simulation holds, in less than its time."""
         self.ask(QUICK % condition)
         self.until(condition)
-        self.ask("delete renetPage.page.pace")
+        self.ask(self.pace)
+        return self
+
+    def undrawn(self) -> "Visit":
+        """Draw no picture any more, and let time wait for a busy machine."""
+        self.pace = PATIENT
+        self.ask(f"renetPage.page.view.renderer.render = () => {{}}; {self.pace}")
         return self
 
     def ask(self, expression: str):

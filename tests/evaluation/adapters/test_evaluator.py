@@ -6,8 +6,6 @@ from pathlib import Path
 from textwrap import dedent
 
 import numpy as np
-import onnx
-import onnx.parser
 import pytest
 import torch
 
@@ -15,30 +13,14 @@ from renet.errors import RenetError
 from renet.evaluation.adapters.evaluator import AdaptedEvaluator, find_adapter
 from renet.evaluation.adapters.options import PolicyOptions
 from renet.interface import HEADING_PROPRIOCEPTION
+from tests.evaluation.policies import STILL, joint_model, save_model, write_adapter
 
-STILL = """
-<ir_version: 8, opset_import: ["" : 17]>
-still (float[N, 45] observation, float[N, 48, 64] depth) => (float[N, 12] action)
-{
-    columns = AveragePool <kernel_shape = [53]> (depth)
-    mean = ReduceMean <axes = [1], keepdims = 0> (columns)
-    little = Constant <value_float = 0.01> ()
-    action = Mul (mean, little)
-}
-"""
-OWN = """
-from renet.evaluation.adapters import base
-
-class Adapter(base.Adapter):
-    def act(self, senses):
-        return senses.joint_position + self.model.run(senses.joint_position)[0]
-"""
+TWICE = "return senses.joint_position + self.model.run(senses.joint_position)[0]"
 
 
 @pytest.fixture
 def still(tmp_path):
-    onnx.save(onnx.parser.parse_model(STILL), tmp_path / "still.onnx")
-    return tmp_path / "still.onnx"
+    return save_model(tmp_path / "still.onnx", STILL)
 
 
 def test_actions_are_those_of_the_model(still):
@@ -73,8 +55,7 @@ def test_robots_are_those_of_training_by_default_and_nominal_in_films(still):
 
 
 def test_another_file_is_another_policy(still, tmp_path):
-    other = tmp_path / "other.onnx"
-    onnx.save(onnx.parser.parse_model(STILL.replace("0.01", "0.02")), other)
+    other = save_model(tmp_path / "other.onnx", STILL.replace("0.01", "0.02"))
     hashes = {AdaptedEvaluator(f, "onnx-depth").provenance(1).bundle_hash for f in (still, other)}
     assert len(hashes) == 2
 
@@ -85,49 +66,14 @@ def test_a_wrong_adapter_is_told_before_anybody_walks(still):
 
 
 def test_an_adapter_of_ones_own(tmp_path):
-    text = '<ir_version: 8, opset_import: ["" : 17]>\nt (float[N, 12] x) => (float[N, 12] y)'
-    model = onnx.parser.parse_model(f"{text} {{ y = Identity (x) }}")
-    onnx.save(model, tmp_path / "twice.onnx")
-    (tmp_path / "mine.py").write_text(OWN)
-    evaluator = AdaptedEvaluator(tmp_path / "twice.onnx", str(tmp_path / "mine.py"))
+    model = joint_model(tmp_path / "twice.onnx", "y = Identity (x)")
+    evaluator = AdaptedEvaluator(model, write_adapter(tmp_path / "mine.py", TWICE))
     assert [*evaluator.entries] == ["blind"]
     assert evaluator.robot.damping == 1.0
 
 
-def own_adapter(folder, act: str, bundle: str = "go1-parkour") -> str:
-    """File of an adapter whose `act` has this one statement."""
-    path = folder / "mine.py"
-    path.write_text(
-        "from renet.evaluation.adapters.base import Adapter as Base\n\n\n"
-        f"class Adapter(Base):\n    bundle = {bundle!r}\n\n"
-        f"    def act(self, senses):\n        {act}\n"
-    )
-    return str(path)
-
-
-@pytest.mark.parametrize(
-    ("act", "told"),
-    [
-        (
-            "return self.model.run(senses.gravity)",
-            r"adapter gives 1; mend line 8 of adapter mine\.py$",
-        ),
-        (
-            "return self.model.run(senses.gravity, senses.depth)",
-            "mend line 8 of adapter mine.py$",
-        ),
-        ("self.model.run", "adapter mine.py .* no array, as where `act` returns nothing"),
-        ("return senses.gravity", r"adapter mine.py .* joint targets of shape \[1, 3\]"),
-        ("return senses.yaw", r"^line 8 of adapter mine\.py fails with .* AttributeError"),
-    ],
-)
-def test_an_error_in_an_own_adapter_names_its_line(still, tmp_path, act, told):
-    with pytest.raises(RenetError, match=told):
-        AdaptedEvaluator(still, own_adapter(tmp_path, act))
-
-
 def test_an_own_adapter_of_no_robot(still, tmp_path):
-    mine = own_adapter(tmp_path, "return senses.joint_position", bundle="go2")
+    mine = write_adapter(tmp_path / "mine.py", "return senses.joint_position", bundle="go2")
     with pytest.raises(RenetError, match=r"mine.py: bundle.*go2-parkour"):
         AdaptedEvaluator(still, mine)
 
@@ -166,8 +112,8 @@ def test_the_page_of_the_benchmark_shows_an_adapter_with_its_last_action(tmp_pat
     page = Path(__file__).parents[3] / "docs" / "benchmark.md"
     (block,) = re.findall(r"   ```python\n(.*?)   ```", page.read_text(), re.S)
     (tmp_path / "mine.py").write_text(dedent(block))
-    onnx.save(onnx.parser.parse_model(ECHO), tmp_path / "echo.onnx")
-    evaluator = AdaptedEvaluator(tmp_path / "echo.onnx", str(tmp_path / "mine.py"))
+    echo = save_model(tmp_path / "echo.onnx", ECHO)
+    evaluator = AdaptedEvaluator(echo, str(tmp_path / "mine.py"))
     assert evaluator.robot.name == "Unitree Go2"
     policy = evaluator.make_policy(2)
     policy.reset()
@@ -179,49 +125,50 @@ def test_the_page_of_the_benchmark_shows_an_adapter_with_its_last_action(tmp_pat
     np.testing.assert_allclose(again[1] - first[1], 0.25 / evaluator.robot.action_scale, atol=1e-5)
 
 
-WIDE = """
-<ir_version: 8, opset_import: ["" : 17]>
-wide (float[N, 12] x) => (float[N, 8] y)
-{
+EIGHT = """
     starts = Constant <value_ints = [0]> ()
     ends = Constant <value_ints = [8]> ()
     axes = Constant <value_ints = [1]> ()
     y = Slice (x, starts, ends, axes)
-}
 """
 
 
-@pytest.fixture
-def eight(tmp_path):
-    """A model with eight outputs."""
-    onnx.save(onnx.parser.parse_model(WIDE), tmp_path / "eight.onnx")
-    return tmp_path / "eight.onnx"
-
-
 @pytest.mark.parametrize(
-    ("line", "message"),
+    ("act", "message"),
     [
         (
-            "senses.joint_position + self.model.run(senses.joint_position)[0]",
-            r"^line 6 of adapter mine\.py fails with eight\.onnx, whose last run had"
+            TWICE,
+            r"^line 8 of adapter mine\.py fails with eight\.onnx, whose last run had"
             r" inputs \[1, 12\], outputs \[1, 8\]: ValueError: operands could not be broadcast",
         ),
         (
-            "self.model.run(senses.joint_position)[0]",
+            "return self.model.run(senses.joint_position)[0]",
             r"mine.py with eight\.onnx gives joint targets of shape \[1, 8\]: \[1, 12\] finite",
         ),
         (
-            "senses.joint_position * float('nan')",
+            "return self.model.run(senses.joint_position, senses.depth)",
+            r"adapter gives 2; mend line 8 of adapter mine\.py$",
+        ),
+        ("return self.model.run(senses.gravity)", r"mend line 8 of adapter mine\.py$"),
+        ("self.model.run", r"adapter mine\.py .* no array, as where `act` returns nothing"),
+        (
+            "return senses.joint_position * float('nan')",
             r"gives joint targets that are not finite: \[1, 12\]",
         ),
-        ("senses.nothing", r"^line 6 of adapter mine\.py fails with eight\.onnx: AttributeError: "),
-        ("'text'", r"^adapter mine\.py fails with eight\.onnx: ValueError: could not convert"),
+        (
+            "return senses.nothing",
+            r"^line 8 of adapter mine\.py fails with eight\.onnx: AttributeError: ",
+        ),
+        (
+            "return 'text'",
+            r"^adapter mine\.py fails with eight\.onnx: ValueError: could not convert",
+        ),
     ],
 )
-def test_an_adapter_that_fails_is_told_in_one_line(tmp_path, eight, line, message):
-    (tmp_path / "mine.py").write_text(OWN[: OWN.index("return")] + f"return {line}\n")
+def test_an_adapter_that_fails_is_told_in_one_line(tmp_path, act, message):
+    eight = joint_model(tmp_path / "eight.onnx", EIGHT, outputs=8)
     with pytest.raises(RenetError, match=message) as error:
-        AdaptedEvaluator(eight, str(tmp_path / "mine.py"))
+        AdaptedEvaluator(eight, write_adapter(tmp_path / "mine.py", act))
     assert "\n" not in str(error.value)
 
 

@@ -7,7 +7,6 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.adapters.evaluator import ADAPTERS
 from renet.evaluation.adapters.options import PolicyOptions
-from renet.evaluation.benchmark.study import BenchmarkStudy
 from renet.evaluation.play import PlayCfg
 
 FILE = Path("mine.onnx")
@@ -33,18 +32,6 @@ def test_a_bundle_alone_and_a_whole_policy_are_taken():
 
 def test_without_a_policy_none_is_opened():
     assert PolicyOptions().open_policy("auto") is None
-
-
-def test_a_missing_file_is_told():
-    with pytest.raises(RenetError, match=r"the policy mine\.onnx does not exist"):
-        PolicyOptions(policy=FILE, adapter="himloco").open_policy("auto")
-
-
-@pytest.mark.parametrize("command", [BenchmarkStudy, PlayCfg])
-def test_commands_share_the_options(command):
-    assert issubclass(command, PolicyOptions)
-    # A command that redefined one would have a help of its own.
-    assert not {"policy", "adapter"} & {*vars(command).get("__annotations__", {})}
 
 
 def test_help_names_every_adapter(capsys):

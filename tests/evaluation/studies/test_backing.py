@@ -51,16 +51,3 @@ def test_a_policy_that_can_be_driven_backs_out(tmp_path):
 def test_a_policy_that_is_told_headings_is_refused(tmp_path):
     with pytest.raises(RenetError, match="cannot be asked to walk backward"):
         BackingStudy(tmp_path, quick=True, kinds=("gap",)).run()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"kinds": ("platform",)}, "choose among gap, stairs_up, stairs_down"),
-        ({"speed": 0.7}, "speed must be at most 0.6 m/s backward"),
-        ({"from_edge": 1.3}, "from-edge 1.3 m is not on the ground"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(settings, message):
-    with pytest.raises(RenetError, match=message):
-        BackingStudy(**settings)

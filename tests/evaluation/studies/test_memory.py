@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from renet.errors import RenetError
 from renet.evaluation.studies.memory import MemoryStudy
 
 from ..fakes import FakeEnv, FakeEvaluator, FakePolicy
@@ -53,8 +52,3 @@ def test_times_are_found_again_as_files_round_them(tmp_path):
     summary = study.run(FakeEvaluator(Crossing, Trusting))
     ((_, _, rows),) = study.tables(summary)
     assert rows == [("gap:3", "0", 2), ("gap:3", "0.333333", 0)]
-
-
-def test_robots_too_slow_to_lose_their_camera_are_refused():
-    with pytest.raises(RenetError, match="no image is missing within 12"):
-        MemoryStudy(speed=0.08)

@@ -1,8 +1,7 @@
-"""Robots whose cameras die before a gap, in a built scene, and settings that are refused."""
+"""Robots whose cameras die before a gap, in a built scene."""
 
 import pytest
 
-from renet.errors import RenetError
 from renet.evaluation.studies.reach import ReachStudy, single_gap
 from renet.evaluation.trace import Trace
 from renet.terrain.tiles import TILE
@@ -46,17 +45,3 @@ def test_both_gaps_fit_on_the_tile():
     assert gap.ground is not None
     outer = gap.island + 2 * gap.high + gap.ground
     assert outer + gap.landing <= TILE / 2
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"unseen": ("fly",)}, "unseen"),
-        ({"metres": ()}, "at least one"),
-        ({"metres": (0.0,)}, "above 0"),
-        ({"metres": (3.5,)}, "do not fit"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(settings, message):
-    with pytest.raises(RenetError, match=message):
-        ReachStudy(**settings)

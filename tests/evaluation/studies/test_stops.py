@@ -1,9 +1,7 @@
 """Who stops before what nobody can cross: one policy that never moves, and one that walks on."""
 
 import numpy as np
-import pytest
 
-from renet.errors import RenetError
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.studies.stops import StopsStudy
 
@@ -46,15 +44,3 @@ def test_the_shipped_policy_walks_over_an_edge(tmp_path):
     (run,) = study.run()["runs"]
     assert run["falls"] == run["robots"] == 6
     assert run["walked_m"] is None
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"kinds": ("gap",)}, "choose among wall, ledge"),
-        ({"height": 0.0}, "height must be positive"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(settings, message):
-    with pytest.raises(RenetError, match=message):
-        StopsStudy(**settings)

@@ -10,7 +10,6 @@ import pytest
 
 from renet.sim import threads
 from renet.sim.depth import rasterizer
-from renet.sim.native import engine
 from renet.sim.native.compiler import Source, Struct
 
 SOURCE = Source(Path(__file__).with_name("count.cpp"))
@@ -66,11 +65,3 @@ def test_wrong_fields_are_refused():
         SOURCE.struct("Nothing")
     with pytest.raises(KeyError, match="fields other than"):
         rasterizer.RASTERIZER_SOURCE.struct("Box")  # It has arrays.
-
-
-@pytest.mark.parametrize("source", [engine.ENGINE_SOURCE, rasterizer.RASTERIZER_SOURCE])
-def test_no_c_function_is_longer_than_a_screen(source):
-    """50 lines, from its name to its closing brace."""
-    bodies = source.text.split("\nstatic ")[1:]
-    assert len(bodies) > 10
-    assert max(body.split("\n}")[0].count("\n") for body in bodies) < 50
