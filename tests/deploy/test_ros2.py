@@ -24,8 +24,8 @@ from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop import TeleopCommand
 from renet.errors import RenetError
 
+from .dds.domain import free_domain
 from .fakes import until
-from .robots.dds import free_domain
 
 pytestmark = pytest.mark.wall_clock
 

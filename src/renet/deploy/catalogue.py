@@ -5,7 +5,6 @@ those of other devices.
 """
 
 import math
-import socket
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,11 +14,12 @@ from typing import Any, ClassVar, Literal
 from renet.bundle.manifest import CameraSpec, RobotSpec
 from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.cameras.realsense import RealSenseCamera, realsense
+from renet.deploy.dds.requirements import demand_card, demand_dds, network_cards
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import POWER_LEVEL, demand_power_level, go1_robot
-from renet.deploy.robots.go2.driver import demand_dds, go2_robot
+from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
 from renet.errors import RenetError, collected, demand_none
 from renet.interface import Terrain
@@ -134,13 +134,12 @@ class Go2Cfg(DriverCfg):
     def check(self) -> None:
         """Raise RenetError without an interface, or without Cyclone DDS."""
         # All problems go into one error, so that nobody has to try again for each.
-        names = [name for _, name in socket.if_nameindex()]
-        cards = ", ".join(names)
-        problems = []
-        if not self.interface:
-            problems.append(f"--robot go2 needs --interface, its network card: one of {cards}")
-        elif self.interface not in names:
-            problems.append(f"no network interface {self.interface!r} here, only {cards}")
+        problems: list[str] = []
+        with collected(problems):
+            if not self.interface:
+                cards = ", ".join(network_cards())
+                raise RenetError(f"--robot go2 needs --interface, its network card: one of {cards}")
+            demand_card(self.interface)
         with collected(problems):
             demand_dds("the Go2")
         demand_none(problems)

@@ -22,8 +22,8 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
+from renet.deploy.cdr import payload_of
 from renet.deploy.controller import Event
-from renet.deploy.recording.cdr import payload_of
 from renet.deploy.recording.channels import (
     LAST_SECOND,
     MAX_CHUNK,

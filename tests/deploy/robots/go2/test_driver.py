@@ -16,15 +16,15 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from renet import cli
 from renet.deploy.catalogue import Go2Cfg, Ros2Cfg, SimulationCfg
 from renet.deploy.cfg import DeployCfg
+from renet.deploy.dds import requirements
 from renet.deploy.main import deploy
 from renet.deploy.recording.reader import read_recording
-from renet.deploy.robots.go2 import driver
 from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.safety.limits import SafetyCfg
 from renet.errors import RenetError
 
+from ...dds.domain import free_domain
 from ...fakes import until
-from ..dds import free_domain
 
 pytestmark = pytest.mark.wall_clock
 
@@ -128,7 +128,7 @@ def test_a_robot_that_keeps_its_mode_is_refused_before_anything_is_commanded(ser
 
 
 def test_without_cyclone_dds_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(driver, "find_spec", lambda name: None)
+    monkeypatch.setattr(requirements, "find_spec", lambda name: None)
     with pytest.raises(RenetError, match=r"pip install .* -e '\.\[go2\]'"):
         go2_robot("lo")
     with pytest.raises(RenetError, match=r"^--teleop ros2 needs Cyclone DDS: "):
