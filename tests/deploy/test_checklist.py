@@ -130,7 +130,7 @@ def test_a_go2_without_its_network_card_is_told_of_terminal_and_camera_too(monke
 
 def test_a_go2_finds_its_bundle_and_lists_all_that_is_missing(monkeypatch):
     cfg = DeployCfg(robot="go2", dry_run=True)
-    assert cfg.driver.bundle == "go2-parkour"
+    assert cfg.robot_cfg.bundle == "go2-parkour"
     monkeypatch.setattr(requirements, "find_spec", lambda name: None)
 
     def missing():
@@ -149,10 +149,10 @@ def test_a_go2_finds_its_bundle_and_lists_all_that_is_missing(monkeypatch):
 def test_a_go2_with_all_it_needs_loads_its_own_bundle(monkeypatch):
     monkeypatch.setattr(requirements, "find_spec", lambda name: True)
     driver_cfg = catalogue.Go2Cfg(interface="lo")
-    cfg = DeployCfg(robot="go2", driver=driver_cfg, camera="none", dry_run=True)
+    cfg = DeployCfg(robot="go2", robot_cfg=driver_cfg, camera="none", dry_run=True)
     assert cfg.load_bundle().name == "go2-parkour"
     other = DeployCfg(
-        "go1-parkour", robot="go2", driver=driver_cfg, camera="none", teleop="auto", seed=-1
+        "go1-parkour", robot="go2", robot_cfg=driver_cfg, camera="none", teleop="auto", seed=-1
     )
     with pytest.raises(RenetError, match=r"seed .*needs --teleop.*drives a Unitree Go1, --robot"):
         other.load_bundle()

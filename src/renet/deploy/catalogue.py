@@ -65,12 +65,12 @@ class SimulationCfg(DriverCfg):
         if self.scene and self.terrain != "flat":
             raise RenetError("--scene brings its own ground: leave --terrain away")
 
-    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+    def build(self, spec: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Build the scene with the robot in it."""
         from renet.deploy.robots.sim.scene import build_scene
 
-        description = find_robot(robot.name)
-        motors = find_motors(self.motors, robot.name)
+        description = find_robot(spec.name)
+        motors = find_motors(self.motors, spec.name)
         model, ground = build_scene(
             self.terrain,
             self.level,
@@ -82,7 +82,7 @@ class SimulationCfg(DriverCfg):
         )
         # An engine of another package may not take motors.
         options = {} if motors is None else {"motors": motors}
-        driver = self.engine()(model, robot, ground, live, **options)
+        driver = self.engine()(model, spec, ground, live, **options)
         if self.viewer:
             from renet.deploy.robots.sim.viewer import BrowserViewer
 
@@ -114,7 +114,7 @@ class Go1Cfg(DriverCfg):
         """Raise RenetError for a power level that the robot does not have."""
         demand_power_level(self.power_level)
 
-    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+    def build(self, spec: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Make the driver of the robot at `robot_host`."""
         return go1_robot(host=self.robot_host, power_level=self.power_level)
 
@@ -144,7 +144,7 @@ class Go2Cfg(DriverCfg):
             demand_dds("the Go2")
         demand_none(problems)
 
-    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+    def build(self, spec: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Make the driver of the robot on `interface`; a dry run leaves the robot's modes alone."""
         return go2_robot(self.interface, self.domain, watch=dry_run)
 
@@ -155,11 +155,11 @@ class SimCameraCfg(CameraCfg):
 
     simulated: ClassVar[bool] = True
 
-    def build(self, camera: CameraSpec, robot: Any, seed: int) -> Camera:
+    def build(self, spec: CameraSpec, robot: Any, seed: int) -> Camera:
         """Make a camera that looks at the robot's scene."""
         from renet.deploy.cameras.sim import SimCamera
 
-        return SimCamera(robot, camera, seed)
+        return SimCamera(robot, spec, seed)
 
 
 @dataclass(frozen=True)
@@ -175,10 +175,10 @@ class RealSenseCfg(CameraCfg):
         """Raise RenetError without the vendor's driver."""
         realsense()
 
-    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
+    def build(self, spec: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """Make a camera whose frames are timed by the robot's clock."""
         return RealSenseCamera(
-            camera, robot.now, serial=self.serial, upside_down=self.rotate == 180
+            spec, robot.now, serial=self.serial, upside_down=self.rotate == 180
         )
 
 
@@ -194,7 +194,7 @@ class ReplayCfg(CameraCfg):
         if self.recording is None:
             raise RenetError("--camera replay needs --recording, whose images it shows")
 
-    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
+    def build(self, spec: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """Make a camera that shows the recording from its start."""
         assert self.recording is not None
         return ReplayCamera(read_recording(self.recording), robot.now)

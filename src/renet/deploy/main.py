@@ -110,7 +110,7 @@ class _Run:
         """Drive the robot to the end of the run."""
         cfg = self.cfg
         # A simulation with priority would starve the rest of the computer.
-        priority = nullcontext("") if cfg.driver.simulated else realtime(PRIORITY)
+        priority = nullcontext("") if cfg.robot_cfg.simulated else realtime(PRIORITY)
         with priority as refused:
             if refused:
                 self.terminal.say(refused)

@@ -24,25 +24,30 @@ def ratios(run: Recording) -> dict[str, np.ndarray]:
     thresholds: Mapping[str, float] = header.get("thresholds") or {}
     if not thresholds and header.get("beta"):
         thresholds = {"reconstruction": float(header["beta"])}
-    apart = ticks["velocity_op"].astype(float) - ticks["velocity_vp"]
-    repeats, contrast, near = _of_images(run)
-    scores = {
-        "frame_age": ticks["frame_age"],
-        "duplicate": repeats,
-        "invalid_fraction": ticks["frame_invalid"],
-        "uniformity": -contrast,
-        "nearness": near,
-        "variance": ticks["variance"],
-        "reconstruction": ticks["anomaly"],
-        "surprise": ticks["surprise"],
-        "disagreement": np.linalg.norm(apart, axis=1),
-        "map_error": ticks["map_error"],
-    }
+    seen = selector_input(ticks)
+    facts = _image_facts(run)
     found = {}
     for name, threshold in thresholds.items():
-        if name in scores:
-            found[name] = _ratio(np.asarray(scores[name], float), threshold)
+        # Another version of renet may have had others.
+        if name in MONITORS:
+            score = np.asarray(MONITORS[name].score(seen, facts), float)
+            found[name] = _ratio(score, threshold)
     return found
+
+
+def selector_input(ticks: np.ndarray) -> SelectorInput:
+    """Return the state of vision at recorded ticks [T], as that of T robots, without images."""
+    return SelectorInput(
+        anomaly_score=ticks["anomaly"],
+        variance_score=ticks["variance"],
+        surprise=ticks["surprise"],
+        age=ticks["frame_age"],
+        invalid=ticks["frame_invalid"],
+        velocity_op=ticks["velocity_op"],
+        velocity_vp=ticks["velocity_vp"],
+        has_image=ticks["has_image"],
+        map_error=ticks["map_error"],
+    )
 
 
 def objectors(run: Recording) -> dict[str, np.ndarray]:
@@ -70,22 +75,26 @@ def _ratio(score: np.ndarray, threshold: float) -> np.ndarray:
         return score / threshold if threshold > 0.0 else threshold / score
 
 
-def _of_images(run: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return equal images in a row, contrast of the newest, and covered images in a row, [T] each.
+def _image_facts(run: Recording) -> Scorer:
+    """Return a scorer with the facts about images at each tick, as those of T robots.
 
     Before the first image, they have values to which no monitor objects.
     """
     count = len(run.ticks)
-    found = np.tile([[0.0], [np.inf], [0.0]], count)
+    facts = Scorer(0)
+    facts.repeats = np.zeros(count)
+    facts.contrast = np.full(count, np.inf)
+    facts.near = np.zeros(count)
     scorer = Scorer(1)
     for row in sorted(run.images):
         image = run.images[row].astype(float)[None]
         fresh = np.ones(1, bool)
         scorer.scores(SelectorInput(np.zeros(1), image=image, fresh=fresh), names=())
         # The values hold until the next image.
-        found[:, row:] = np.stack([scorer.repeats, scorer.contrast, scorer.near])
-    repeats, contrast, near = found
-    return repeats, contrast, near
+        facts.repeats[row:] = scorer.repeats
+        facts.contrast[row:] = scorer.contrast
+        facts.near[row:] = scorer.near
+    return facts
 
 
 def legend_of(name: str) -> str:

@@ -11,7 +11,9 @@ from renet.robots import Robot
 class RobotDriver(Protocol):
     """Robot, real or simulated, with a clock of its own.
 
-    It may have a method `show`, which is called at every control step to show it to the user.
+    It may have a method `show`, which is called at every control step to show it to the user; an
+    attribute `refused` after `connect`, a line for the user about what the system refused it; and
+    in a simulation `base_position`, [3] m in the world, which is recorded.
     """
 
     description: Robot
@@ -67,11 +69,11 @@ class DriverCfg:
     def check(self) -> None:
         """Raise RenetError for options that cannot work."""
 
-    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+    def build(self, spec: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Make the driver without connecting it.
 
         Args:
-            robot: Robot of the bundle.
+            spec: Robot of the bundle.
             live: Pace a simulation to the wall clock.
             seed: Seed of a simulation's randomness.
             dry_run: Nothing will be commanded.
