@@ -177,9 +177,7 @@ class RealSenseCfg(CameraCfg):
 
     def build(self, spec: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """Make a camera whose frames are timed by the robot's clock."""
-        return RealSenseCamera(
-            spec, robot.now, serial=self.serial, upside_down=self.rotate == 180
-        )
+        return RealSenseCamera(spec, robot.now, serial=self.serial, upside_down=self.rotate == 180)
 
 
 @dataclass(frozen=True)
