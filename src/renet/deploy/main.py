@@ -12,6 +12,7 @@ from renet.deploy.checklist import Checklist
 from renet.deploy.controller import Controller, Event
 from renet.deploy.devices import missing_devices, start_devices
 from renet.deploy.display import CommandDisplay, VelocityDisplay
+from renet.deploy.joint_display import JointDisplay
 from renet.deploy.loop import brake, run_control_loop
 from renet.deploy.realtime import realtime
 from renet.deploy.recording.reader import read_recording
@@ -19,7 +20,6 @@ from renet.deploy.recording.recorder import Recorder
 from renet.deploy.recording.score import SCORE, summary, write_score
 from renet.deploy.recording.timeline import TIMELINE
 from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.safety.machine import Mode
 from renet.deploy.safety.watchdog import HANGS, interruptible, watchdog
 from renet.errors import RenetError, collected, demand_none, reason
@@ -99,7 +99,7 @@ class _Run:
         self.robot, self.camera, self.teleop = devices
         self.show_robot = getattr(self.robot, "show", lambda: None)
         self.commands = CommandDisplay(say)
-        self.joints = JointWatch(say)
+        self.joints = JointDisplay(say)
         self.velocity = VelocityDisplay(self.terminal.status)
         _keep_earlier(folder)
         header = cfg.header(bundle)
@@ -149,7 +149,7 @@ class _Run:
         self.show_robot()
         if self.cfg.dry_run:
             self.commands.step(command)
-            self.joints.look(state)
+            self.joints.step(state)
         elif self.cfg.teleop != "auto":
             self.velocity.step(self.controller.decision, state)
 
