@@ -46,7 +46,7 @@ class Rig:
     def fly(self, seconds: float, folder: Path, camera: bool = True) -> Recording:
         """Run with a recording, which replays."""
         header = {"bundle_sha256": self.bundle.sha256, "safety": vars(BRISK)}
-        log = Recorder(folder / "recording.mcap", header | {"mode": "memory"})
+        log = Recorder(folder / "recording.mcap", header | {"mode": "memory", "unseen": "walk"})
         controller = Controller(self.bundle, BRISK, on_event=log.event)
         devices: tuple = (self.robot, self.camera if camera else None, self.teleop)
         self.camera.start()

@@ -94,7 +94,8 @@ def test_a_terminal_without_arrows_ends_no_run(tmp_path, monkeypatch):
 def test_the_papers_selector_is_told_to_the_log(tmp_path):
     flight = run(tmp_path, mode="switch", fault=("gaussian@1",))
     assert flight.header["mode"] == "switch"
-    assert flight.header["beta"] == Bundle.load().manifest.selector.beta
+    beta = Bundle.load().manifest.selector.beta
+    assert flight.header["thresholds"] == {"reconstruction": beta}
     assert flight.events[-2].why == "images unlike those of training"
     assert replay_error(flight, Bundle.load()) == 0.0
 
@@ -194,9 +195,8 @@ def test_the_go1s_address_and_power_level_are_options():
 
 
 def test_real_time_flies_on_the_threads_and_replays(tmp_path):
-    assert (
-        replay_error(run(tmp_path, robot_cfg=SimulationCfg(real_time=True)), Bundle.load()) == 0.0
-    )
+    flight = run(tmp_path, robot_cfg=SimulationCfg(real_time=True))
+    assert replay_error(flight, Bundle.load()) == 0.0
 
 
 def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onset(tmp_path):

@@ -209,13 +209,10 @@ class DeployCfg:
             # It replaces the terrain, and has no levels.
             options |= {"terrain": OWN_GROUND, "level": None}
         selector = bundle.manifest.selector
-        # The paper's switch knows one threshold; the other modes use those of the calibration.
+        thresholds = selector.used_thresholds
+        # The paper's switch knows one threshold.
         if self.mode == "switch":
-            beta = selector.beta
             thresholds = {"reconstruction": selector.beta}
-        else:
-            beta = selector.thresholds.get("reconstruction", selector.beta)
-            thresholds = selector.used_thresholds
         return {
             **options,
             "safety": asdict(self.limits),
@@ -232,5 +229,4 @@ class DeployCfg:
             "bundle_sha256": bundle.sha256,
             "models": bundle.manifest.sha256,
             "thresholds": thresholds,
-            "beta": beta,
         }

@@ -1,7 +1,5 @@
 """Scores of the monitors of vision over their thresholds, from the recording of a run."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from renet.deploy.recording.reader import Recording
@@ -16,18 +14,12 @@ _MAX_MONITORS = 4
 def ratios(run: Recording) -> dict[str, np.ndarray]:
     """Return scores over thresholds, [T] by the monitor's name; a monitor objects from 1 on.
 
-    Thresholds come from the recording's header. In an older recording, only the reconstruction has
-    one.
+    Thresholds come from the recording's header.
     """
-    ticks = run.ticks
-    header = run.header
-    thresholds: Mapping[str, float] = header.get("thresholds") or {}
-    if not thresholds and header.get("beta"):
-        thresholds = {"reconstruction": float(header["beta"])}
-    seen = selector_input(ticks)
+    seen = selector_input(run.ticks)
     facts = _image_facts(run)
     found = {}
-    for name, threshold in thresholds.items():
+    for name, threshold in run.header.get("thresholds", {}).items():
         # Another version of renet may have had others.
         if name in MONITORS:
             score = np.asarray(MONITORS[name].score(seen, facts), float)
