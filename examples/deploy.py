@@ -23,7 +23,7 @@ from renet.deploy.robots.base import JointCommand, heading, projected_gravity
 from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.robots.envelope import clamp
 from renet.deploy.steering import STEERINGS
-from renet.deploy.teleop import Velocity
+from renet.deploy.teleop.base import Velocity
 from renet.errors import RenetError
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT

@@ -17,7 +17,8 @@ from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.checklist import Checklist
 from renet.deploy.main import deploy
 from renet.deploy.robots.driver import DriverCfg
-from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop
+from renet.deploy.teleop.gamepad import GamepadTeleop
+from renet.deploy.teleop.keyboard import KeyboardTeleop
 from renet.errors import RenetError
 from renet.folders import lock
 

@@ -17,7 +17,8 @@ from renet.deploy.recording.recorder import Recorder
 from renet.deploy.recording.replay import replay_error
 from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.interface import CONTROL_DT
 
 from .fakes import ARM, BRISK, Standing, robot_on

@@ -18,7 +18,7 @@ import tyro
 
 from renet import cli
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import devices, gamepad, main
+from renet.deploy import devices, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
@@ -29,7 +29,9 @@ from renet.deploy.recording.tick import MODES
 from renet.deploy.recording.timeline import TIMELINE
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
+from renet.deploy.teleop import gamepad
+from renet.deploy.teleop.base import TeleopCommand
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.errors import RenetError
 from renet.folders import lock
 from renet.interface import TRUNK

@@ -20,7 +20,9 @@ from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.robots.driver import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import POWER_LEVEL, demand_power_level, go1_robot
 from renet.deploy.robots.go2.driver import go2_robot
-from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
+from renet.deploy.teleop.base import Teleop, TeleopCfg
+from renet.deploy.teleop.gamepad import GamepadTeleop
+from renet.deploy.teleop.keyboard import KeyboardTeleop
 from renet.errors import RenetError, collected, demand_none
 from renet.interface import Terrain
 from renet.motor_models import IDEAL, find_motors
@@ -232,7 +234,7 @@ class Ros2Cfg(TeleopCfg):
     def check(self) -> None:
         """Raise RenetError for a wrong topic or domain, or if Cyclone DDS is not installed."""
         demand_dds("--teleop ros2")
-        from renet.deploy.ros2 import TOPIC, domain_of
+        from renet.deploy.teleop.ros2 import TOPIC, domain_of
 
         if not TOPIC.fullmatch(self.topic):
             raise RenetError(f"--topic must be a name such as cmd_vel, got {self.topic!r}")
@@ -240,7 +242,7 @@ class Ros2Cfg(TeleopCfg):
 
     def build(self, deadman: float, simulated: bool) -> Teleop:
         """Subscribe to the topic, with the keyboard of the terminal, which a real robot needs."""
-        from renet.deploy.ros2 import Ros2Teleop, domain_of
+        from renet.deploy.teleop.ros2 import Ros2Teleop, domain_of
 
         domain = domain_of(self.ros_domain)
         # A simulated robot can hurt nobody, and may run without a terminal.

@@ -17,7 +17,7 @@ from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS, TELEOPS
 from renet.deploy.robots.driver import DriverCfg
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.teleop import TeleopCfg
+from renet.deploy.teleop.base import TeleopCfg
 from renet.errors import RenetError, collected, demand_name, demand_none
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, OWN_GROUND, PilotMode, Unseen

@@ -17,7 +17,8 @@ from renet.deploy.robots.driver import RobotDriver
 from renet.deploy.robots.envelope import demand_within
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
-from renet.deploy.teleop import ScriptedTeleop, Teleop, TeleopCfg
+from renet.deploy.teleop.base import Teleop, TeleopCfg
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.errors import RenetError, collected
 from renet.interface import Told
 

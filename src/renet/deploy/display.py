@@ -8,7 +8,7 @@ import numpy as np
 from renet.deploy.controller import Decision
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import Velocity
+from renet.deploy.teleop.base import Velocity
 from renet.interface import CONTROL_DT, JOINTS
 from renet.selector.selector import BLIND, REMEMBERS, SEES
 

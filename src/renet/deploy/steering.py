@@ -6,7 +6,7 @@ A policy is told the velocity of its base, or a speed and the angle to a heading
 import math
 from typing import Protocol
 
-from renet.deploy.teleop import Velocity
+from renet.deploy.teleop.base import Velocity
 from renet.interface import CONTROL_DT, MAX_TURN, TURN_GAIN, Told
 
 MAX_LEAD = math.pi / 2

@@ -17,7 +17,7 @@ from renet.deploy.robots.sim.mujoco import SEEN_GROUPS
 from renet.deploy.robots.sim.scene import FLAT, scene_spec
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.steering import FORWARD_ONLY, MAX_LEAD
-from renet.deploy.teleop import KEYS, STAND_KEY
+from renet.deploy.teleop.keyboard import KEYS, STAND_KEY
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
 from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink

@@ -13,7 +13,7 @@ from renet.deploy.cdr import ENCAPSULATION
 from renet.deploy.dds import messages
 from renet.deploy.dds.messages import message_type, read_types
 from renet.deploy.robots.go2.messages import LOW_CMD, LOW_STATE, MODULE
-from renet.deploy.ros2 import TWIST
+from renet.deploy.teleop.ros2 import TWIST
 from renet.errors import RenetError
 
 TABLES = {"LowCmd_": LOW_CMD, "LowState_": LOW_STATE, "Twist_": TWIST}

@@ -21,7 +21,7 @@ from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.recorder import Recorder
 from renet.deploy.recording.replay import replay_error, replay_run
 from renet.deploy.recording.tick import BAD, MODES
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 from renet.pilot.inference import InlineInference, ThreadedInference

@@ -14,7 +14,7 @@ from renet.deploy.recording.tick import GOOD, NONE, WISHES
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import EXHAUSTED, REFUSED
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 from renet.pilot.inference import InlineInference

@@ -17,7 +17,7 @@ from cyclonedds.idl import make_idl_struct, types
 from renet.deploy.cdr import ENCAPSULATION
 from renet.deploy.dds.messages import message_type, parse_fields
 from renet.deploy.dds.network import Network
-from renet.deploy.teleop import Teleop, TeleopCommand, Velocity
+from renet.deploy.teleop.base import Teleop, TeleopCommand, Velocity
 from renet.errors import RenetError
 
 TWIST = parse_fields("Vector3_ linear, Vector3_ angular", Vector3_=parse_fields("f8 x, f8 y, f8 z"))
