@@ -74,8 +74,8 @@ def image_scores(
     for path in paths:
         pixels = read_image(path)
         if preprocessor is None:
-            camera = _intrinsics(pixels.shape, lens, upside_down)
-            preprocessor = DepthPreprocessor(camera, bundle.manifest.camera)
+            camera = _intrinsics(pixels.shape, lens)
+            preprocessor = DepthPreprocessor(camera, bundle.manifest.camera, upside_down)
         older = newest
         newest = preprocessor.image(pixels * scale)[None]
         # Vision judges pairs, the newest image first; the first image has no other.
@@ -106,16 +106,14 @@ def image_scores(
 
 
 def _intrinsics(
-    shape: tuple[int, ...], lens: tuple[float, float, float, float] | None, upside_down: bool
+    shape: tuple[int, ...], lens: tuple[float, float, float, float] | None
 ) -> Intrinsics:
     """Make the intrinsics of images of a shape (rows, columns) and a lens, or the default one."""
     height, width = shape
     if lens is None:
         focal = width / 2 / math.tan(_VIEW_ANGLE / 2)
         lens = (focal, focal, width / 2, height / 2)
-    fx, fy, cx, cy = lens
-    turn = -1.0 if upside_down else 1.0
-    return Intrinsics(height, width, turn * fx, turn * fy, cx, cy)
+    return Intrinsics(height, width, *lens)
 
 
 def read_image(path: Path) -> np.ndarray:
