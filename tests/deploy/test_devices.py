@@ -16,7 +16,7 @@ from renet.deploy.catalogue import RealSenseCfg, SimCameraCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.checklist import Checklist
 from renet.deploy.main import deploy
-from renet.deploy.robots.driver import DriverCfg
+from renet.deploy.robots.base import DriverCfg
 from renet.deploy.teleop.gamepad import GamepadTeleop
 from renet.deploy.teleop.keyboard import KeyboardTeleop
 from renet.errors import RenetError

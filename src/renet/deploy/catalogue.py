@@ -17,7 +17,7 @@ from renet.deploy.cameras.realsense import RealSenseCamera, realsense
 from renet.deploy.dds.requirements import demand_card, demand_dds, network_cards
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.replay import ReplayCamera
-from renet.deploy.robots.driver import DriverCfg, RobotDriver
+from renet.deploy.robots.base import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import POWER_LEVEL, demand_power_level, go1_robot
 from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.teleop.base import Teleop, TeleopCfg

@@ -15,7 +15,7 @@ from renet import __version__
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS, TELEOPS
-from renet.deploy.robots.driver import DriverCfg
+from renet.deploy.robots.base import DriverCfg
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.teleop.base import TeleopCfg
 from renet.errors import RenetError, collected, demand_name, demand_none

@@ -13,7 +13,7 @@ from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.checklist import SLOW, Checklist, count_readings, time_models
-from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.base import RobotDriver
 from renet.deploy.robots.envelope import demand_within
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim

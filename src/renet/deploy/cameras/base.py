@@ -6,7 +6,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from renet.bundle.manifest import CameraSpec
-from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.base import RobotDriver
 
 
 @dataclass(frozen=True)
