@@ -15,12 +15,12 @@ import numpy as np
 import tyro
 
 from facts import report, spread
+from renet.deploy.dds.network import Network
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.robots.go2.link import COMMAND_TOPIC
 from renet.deploy.robots.go2.messages import LowCmd
-from renet.deploy.robots.go2.network import Network
 from renet.interface import CONTROL_DT
 
 STANDING = np.tile((0.0, 0.9, -1.8), 4)

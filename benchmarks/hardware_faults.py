@@ -31,7 +31,7 @@ from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import ENDED, Mode
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.interface import CONTROL_DT, JOINTS, Terrain, control_steps
 from renet.motor_models import IDEAL, find_motors
 from renet.robots import find_robot

@@ -56,11 +56,10 @@ PARTS = {
         [f"tests/deploy/robots/{name}.py" for name in ("go1/test_driver", "real/test_braking")],
     ),
     "go2": (
-        ["deploy/robots/go2/link.py", "deploy/robots/go2/messages.py"],
-        [
-            f"tests/deploy/robots/{name}.py"
-            for name in ("go2/test_link", "go2/test_messages", "real/test_braking")
-        ],
+        ["deploy/dds/messages.py"]
+        + [f"deploy/robots/go2/{name}.py" for name in ("link", "messages")],
+        ["tests/deploy/dds/test_messages.py", "tests/deploy/robots/real/test_braking.py"]
+        + [f"tests/deploy/robots/go2/test_{name}.py" for name in ("link", "messages")],
     ),
     "sender": (
         [f"deploy/robots/real/{name}.py" for name in ("braking", "mailbox", "sender")],

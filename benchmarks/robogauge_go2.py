@@ -40,7 +40,7 @@ from renet.bundle import pretrained, read_manifest
 from renet.deploy.robots.base import heading
 from renet.deploy.safety.limits import limited_velocity
 from renet.deploy.steering import STEERINGS
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.evaluation.adapters.base import LEFT_FIRST
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 

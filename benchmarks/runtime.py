@@ -35,7 +35,7 @@ from renet.deploy.recording.recorder import Recorder
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import ScriptedTeleop
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.interface import DEPTH_SHAPE
 from renet.pilot import inference
 from renet.pilot.tick import EstimatorInput, EstimatorOutput, infer

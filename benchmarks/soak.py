@@ -52,7 +52,7 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import interruptible
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, TURN_GAIN
 from renet.pilot.inference import InlineInference, ThreadedInference

@@ -23,7 +23,7 @@ from renet.deploy.loop import run_control_loop
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import ScriptedTeleop
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.faults import parse_fault
 from renet.interface import LEGS
 

@@ -19,11 +19,10 @@ from renet.deploy.cameras.base import Camera
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.catalogue import CAMERAS, ROBOTS
 from renet.deploy.observation import observe
-from renet.deploy.robots.base import JointCommand, heading, projected_gravity
-from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.base import JointCommand, RobotDriver, heading, projected_gravity
 from renet.deploy.robots.envelope import clamp
 from renet.deploy.steering import STEERINGS
-from renet.deploy.teleop import Velocity
+from renet.deploy.teleop.base import Velocity
 from renet.errors import RenetError
 from renet.faults import parse_fault
 from renet.interface import CONTROL_DT

@@ -190,11 +190,11 @@ def test_words_that_every_row_repeats_give_way_first(capsys, monkeypatch):
     assert rows[1] == ["2", "go1-parkour", "oracle, handing over", "0.5", "10.0 to 81.0"]
 
 
-def test_cells_wrap_between_words_in_as_few_lines_as_possible(capsys, monkeypatch):
+def test_the_widest_cells_wrap_between_words(capsys, monkeypatch):
     _, _, *rows = shown(capsys, monkeypatch, 60)
     assert rows[0] == ["1", "go1-parkour", "camera", "0.5", "10.5 to 80.5"]
-    assert rows[1] == ["2", "go1-parkour", "oracle,", "0.5", "10.0 to 81.0"]
-    assert rows[2] == ["", "", "handing over", "", ""]
+    assert rows[1] == ["2", "go1-parkour", "oracle, handing", "0.5", "10.0 to 81.0"]
+    assert rows[2] == ["", "", "over", "", ""]
     assert rows[3][1:3] == ["playground", "blind"]
 
 

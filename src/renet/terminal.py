@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from functools import partial
-from itertools import count, zip_longest
+from itertools import zip_longest
 from queue import Full, Queue
 from shutil import get_terminal_size
-from textwrap import wrap
 from typing import Any, TypeVar
 
 from rich.cells import cell_len
@@ -157,61 +156,17 @@ def _split_repeated(columns: Sequence[list[str]]) -> tuple[list[list[str]], str]
 def _shared_widths(columns: Sequence[Sequence[str]], room: int) -> list[int]:
     """Widths of columns that have some room together, characters.
 
-    Words are kept whole where that is possible, and rows have as few lines as possible. Room that
-    is left goes to the columns in which it saves the most lines.
+    The widest columns give way first. Words are kept whole where that is possible.
     """
-    widths = list(map(_longest_word, columns))
-    if sum(widths) > room:
+    widths = list(map(_natural_width, columns))
+    least = list(map(_longest_word, columns))
+    if sum(least) > room:
         # The longest words are broken.
-        while sum(widths) > max(room, len(widths)):
-            widths[widths.index(max(widths))] -= 1
-        return widths
-    # With enough lines, each column is as narrow as its longest word.
-    for lines in count(1):
-        widths = [_least_width(cells, lines) for cells in columns]
-        if sum(widths) <= room:
-            break
-    return _widened(columns, widths, room)
-
-
-def _widened(columns: Sequence[Sequence[str]], widths: Sequence[int], room: int) -> list[int]:
-    """Widths that grow as long as that saves lines within a room, characters."""
-    wider = list(widths)
-    while True:
-        steps = []
-        spare = room - sum(wider)
-        for place, cells in enumerate(columns):
-            lines = _line_total(cells, wider[place])
-            for step in range(1, min(spare, _natural_width(cells) - wider[place]) + 1):
-                saved = lines - _line_total(cells, wider[place] + step)
-                if saved:
-                    steps.append((saved / step, place, step))
-        if not steps:
-            return wider
-        # The step with the most lines for a character.
-        _, place, step = max(steps)
-        wider[place] += step
-
-
-def _line_total(cells: Sequence[str], width: int) -> int:
-    """Number of lines of all cells of a column."""
-    return sum(_line_count(cell, width) for cell in cells)
-
-
-def _least_width(cells: Sequence[str], lines: int) -> int:
-    """Smallest width of a column that keeps words whole, with so many lines for each cell at most.
-
-    Its name, the first of the cells, may have more.
-    """
-    width = _longest_word(cells)
-    while any(_line_count(cell, width) > lines for cell in cells[1:]):
-        width += 1
-    return width
-
-
-def _line_count(cell: str, width: int) -> int:
-    """Number of lines of a text that wraps between words; an empty one has a line, too."""
-    return max(1, len(wrap(cell, width, break_on_hyphens=False)))
+        least = [1] * len(columns)
+    while sum(widths) > max(room, sum(least)):
+        wider = [place for place, width in enumerate(widths) if width > least[place]]
+        widths[max(wider, key=widths.__getitem__)] -= 1
+    return widths
 
 
 Listener = Callable[[str, int, int], None]

@@ -17,7 +17,7 @@ from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.interface import CONTROL_DT
 from renet.robots import GO1
 from renet.training.export import robot_spec

@@ -11,7 +11,7 @@ from renet.bundle import Bundle
 from renet.deploy import catalogue, checklist, devices
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.checklist import Checklist, count_readings, time_models
-from renet.deploy.robots.go2 import driver
+from renet.deploy.dds import requirements
 from renet.errors import Problems, RenetError, collected, demand_none
 
 
@@ -105,7 +105,7 @@ def test_a_missing_terminal_hides_nothing_else(tmp_path, monkeypatch, capsys):
 
 def test_a_go2_without_its_network_card_is_told_of_terminal_and_camera_too(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", None)
-    monkeypatch.setattr(driver, "find_spec", lambda name: True)
+    monkeypatch.setattr(requirements, "find_spec", lambda name: True)
     closed = []
 
     class Camera:
@@ -130,8 +130,8 @@ def test_a_go2_without_its_network_card_is_told_of_terminal_and_camera_too(monke
 
 def test_a_go2_finds_its_bundle_and_lists_all_that_is_missing(monkeypatch):
     cfg = DeployCfg(robot="go2", dry_run=True)
-    assert cfg.driver.bundle == "go2-parkour"
-    monkeypatch.setattr(driver, "find_spec", lambda name: None)
+    assert cfg.robot_cfg.bundle == "go2-parkour"
+    monkeypatch.setattr(requirements, "find_spec", lambda name: None)
 
     def missing():
         raise RenetError("the camera needs its driver")
@@ -147,12 +147,12 @@ def test_a_go2_finds_its_bundle_and_lists_all_that_is_missing(monkeypatch):
 
 
 def test_a_go2_with_all_it_needs_loads_its_own_bundle(monkeypatch):
-    monkeypatch.setattr(driver, "find_spec", lambda name: True)
+    monkeypatch.setattr(requirements, "find_spec", lambda name: True)
     driver_cfg = catalogue.Go2Cfg(interface="lo")
-    cfg = DeployCfg(robot="go2", driver=driver_cfg, camera="none", dry_run=True)
+    cfg = DeployCfg(robot="go2", robot_cfg=driver_cfg, camera="none", dry_run=True)
     assert cfg.load_bundle().name == "go2-parkour"
     other = DeployCfg(
-        "go1-parkour", robot="go2", driver=driver_cfg, camera="none", teleop="auto", seed=-1
+        "go1-parkour", robot="go2", robot_cfg=driver_cfg, camera="none", teleop="auto", seed=-1
     )
     with pytest.raises(RenetError, match=r"seed .*needs --teleop.*drives a Unitree Go1, --robot"):
         other.load_bundle()

@@ -22,7 +22,7 @@ from renet.deploy.robots.base import heading
 from renet.deploy.safety.limits import SafetyCfg, rate_after
 from renet.deploy.safety.machine import Mode, stand_up_target
 from renet.deploy.steering import FORWARD_ONLY
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.faults import parse_fault
 from renet.interface import (
     CONTROL_DT,

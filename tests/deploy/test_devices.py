@@ -16,8 +16,9 @@ from renet.deploy.catalogue import RealSenseCfg, SimCameraCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.checklist import Checklist
 from renet.deploy.main import deploy
-from renet.deploy.robots.driver import DriverCfg
-from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop
+from renet.deploy.robots.base import DriverCfg
+from renet.deploy.teleop.gamepad import GamepadTeleop
+from renet.deploy.teleop.keyboard import KeyboardTeleop
 from renet.errors import RenetError
 from renet.folders import lock
 
@@ -57,7 +58,7 @@ def test_no_driver_can_forget_the_lock_on_its_robot():
     kind, bundle = f"mine-{os.getpid()}", Bundle.load()
 
     def start(stack: ExitStack, port: str) -> None:
-        cfg = DeployCfg(robot=kind, driver=RobotCfg(port), camera="none", dry_run=True)
+        cfg = DeployCfg(robot=kind, robot_cfg=RobotCfg(port), camera="none", dry_run=True)
         devices.start_devices(cfg, bundle, print, stack, Checklist(print, patience=False))
 
     with ExitStack() as first, ExitStack() as second:
@@ -76,7 +77,9 @@ def test_no_driver_can_forget_the_lock_on_its_robot():
 def test_a_folder_that_cannot_be_used_is_refused_before_the_robot_is_touched(tmp_path, taken):
     driver, before = RobotCfg("serial"), len(CONNECTED)
     out = tmp_path if taken else Path("/proc/nowhere")
-    cfg = DeployCfg(robot="mine", driver=driver, camera="none", dry_run=True, out=out, seconds=0.1)
+    cfg = DeployCfg(
+        robot="mine", robot_cfg=driver, camera="none", dry_run=True, out=out, seconds=0.1
+    )
     with lock(tmp_path), pytest.raises(RenetError, match=r"(program writes|cannot write) to"):
         deploy(cfg)
     assert len(CONNECTED) == before

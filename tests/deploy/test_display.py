@@ -8,7 +8,7 @@ import pytest
 from renet.deploy.controller import Decision
 from renet.deploy.display import SHOW_EVERY, VelocityDisplay
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import Velocity
+from renet.deploy.teleop.base import Velocity
 
 from .fakes import state
 

@@ -15,7 +15,7 @@ TRAINING = ("torch", "mjlab", "warp", "mujoco", "mujoco_warp", "rsl_rl", "matplo
 ELSEWHERE = ("renet.deploy.robots.sim.", "renet.deploy.cameras.sim", "renet.deploy.robots.go2.fake")
 """Beginnings of modules that are the simulated robot, imported when it is asked for."""
 if find_spec("cyclonedds") is None:  # Needs renet-locomotion[go2].
-    ELSEWHERE += ("renet.deploy.robots.go2.", "renet.deploy.ros2")
+    ELSEWHERE += ("renet.deploy.dds.", "renet.deploy.robots.go2.", "renet.deploy.teleop.ros2")
 
 
 def modules() -> list[str]:

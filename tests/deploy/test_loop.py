@@ -17,7 +17,8 @@ from renet.deploy.recording.recorder import Recorder
 from renet.deploy.recording.replay import replay_error
 from renet.deploy.recording.tick import MODES
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.interface import CONTROL_DT
 
 from .fakes import ARM, BRISK, Standing, robot_on
@@ -46,7 +47,7 @@ class Rig:
     def fly(self, seconds: float, folder: Path, camera: bool = True) -> Recording:
         """Run with a recording, which replays."""
         header = {"bundle_sha256": self.bundle.sha256, "safety": vars(BRISK)}
-        log = Recorder(folder / "recording.mcap", header | {"mode": "memory"})
+        log = Recorder(folder / "recording.mcap", header | {"mode": "memory", "unseen": "walk"})
         controller = Controller(self.bundle, BRISK, on_event=log.event)
         devices: tuple = (self.robot, self.camera if camera else None, self.teleop)
         self.camera.start()

@@ -18,7 +18,7 @@ import tyro
 
 from renet import cli
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import devices, gamepad, main
+from renet.deploy import devices, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
@@ -29,7 +29,9 @@ from renet.deploy.recording.tick import MODES
 from renet.deploy.recording.timeline import TIMELINE
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import ScriptedTeleop, TeleopCommand
+from renet.deploy.teleop import gamepad
+from renet.deploy.teleop.base import TeleopCommand
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.errors import RenetError
 from renet.folders import lock
 from renet.interface import TRUNK
@@ -94,7 +96,8 @@ def test_a_terminal_without_arrows_ends_no_run(tmp_path, monkeypatch):
 def test_the_papers_selector_is_told_to_the_log(tmp_path):
     flight = run(tmp_path, mode="switch", fault=("gaussian@1",))
     assert flight.header["mode"] == "switch"
-    assert flight.header["beta"] == Bundle.load().manifest.selector.beta
+    beta = Bundle.load().manifest.selector.beta
+    assert flight.header["thresholds"] == {"reconstruction": beta}
     assert flight.events[-2].why == "images unlike those of training"
     assert replay_error(flight, Bundle.load()) == 0.0
 
@@ -188,19 +191,20 @@ def test_who_steers_decides_on_clock_end_and_deadman(options, live, length, oper
 def test_the_go1s_address_and_power_level_are_options():
     arguments = ["--robot", "go1", "--robot-host", "10.0.0.1", "--power-level", "5"]
     cfg = tyro.cli(DeployCfg, args=arguments, default=DeployCfg.defaults(arguments))
-    assert cfg.driver == Go1Cfg("10.0.0.1", 5)
+    assert cfg.robot_cfg == Go1Cfg("10.0.0.1", 5)
     robot = devices.make_robot(cfg, Bundle.load())
     assert robot.settings == ("10.0.0.1", 8007, 8080, 5)  # type: ignore[attr-defined]
 
 
 def test_real_time_flies_on_the_threads_and_replays(tmp_path):
-    assert replay_error(run(tmp_path, driver=SimulationCfg(real_time=True)), Bundle.load()) == 0.0
+    flight = run(tmp_path, robot_cfg=SimulationCfg(real_time=True))
+    assert replay_error(flight, Bundle.load()) == 0.0
 
 
 def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onset(tmp_path):
     clear = run(tmp_path / "a").images
     lens = ReplayCfg(tmp_path / "a" / RECORDING)
-    again = run(tmp_path / "b", camera="replay", lens=lens).images
+    again = run(tmp_path / "b", camera="replay", camera_cfg=lens).images
     # The second camera spoke first in the same control step: same image, same step.
     for row, image in clear.items():
         np.testing.assert_array_equal(again[row], image)
@@ -212,7 +216,7 @@ def test_a_flights_images_are_shown_again_and_a_fault_of_the_scene_from_its_onse
 
 def test_a_run_on_ones_own_ground_says_so(tmp_path, capsys):
     np.save(tmp_path / "hills.npy", np.random.default_rng(1).uniform(-0.02, 0.02, (80, 80)))
-    flight = run(tmp_path / "run", driver=SimulationCfg(scene=tmp_path / "hills.npy"))
+    flight = run(tmp_path / "run", robot_cfg=SimulationCfg(scene=tmp_path / "hills.npy"))
     assert (flight.header["terrain"], flight.header["level"]) == ("own", None)
     assert score_run(flight, [])["crossed"] == ""
 

@@ -98,7 +98,7 @@ def test_the_loop_waits_for_a_vision_thread_of_its_own_priority(tmp_path, monkey
     monkeypatch.setattr(main, "run_control_loop", watched_loop)
     driver = PhysicalCfg(real_time=True)
     options = {"camera": "none", "dry_run": True, "safety": BRISK, "seconds": 1.0}
-    main.deploy(main.DeployCfg(out=tmp_path, driver=driver, **options))
+    main.deploy(main.DeployCfg(out=tmp_path, robot_cfg=driver, **options))
     if loop[0][0] != os.SCHED_FIFO:
         pytest.skip("the system refuses real-time priority")
     assert loop == [(os.SCHED_FIFO, main.PRIORITY)]

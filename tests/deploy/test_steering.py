@@ -5,7 +5,7 @@ import math
 import pytest
 
 from renet.deploy.steering import FORWARD_ONLY, HeadingSteering, TwistSteering
-from renet.deploy.teleop import Velocity
+from renet.deploy.teleop.base import Velocity
 from renet.interface import CONTROL_DT
 
 AHEAD = Velocity(0.6)

@@ -343,7 +343,7 @@ FILES: dict[str, Maker] = {
     "a log of another program": file(
         MAGIC + RECORD.pack(Opcode.CHANNEL, len(CHANNEL)) + CHANNEL, "other.mcap"
     ),
-    "text for a number": file(recording([(Topic.RUN, b'{"beta": "low", "onsets": ["now"]}')])),
+    "text for a number": file(recording([(Topic.RUN, b'{"level": "low", "onsets": ["now"]}')])),
     "a deep header": file(recording([(Topic.RUN, b'{"a":' * 100_000)])),
     "times of 1e15": file(ticks(now=[0.0, 1.0, 1e15])),
     "times that are not numbers": file(ticks(now=[0.0, np.nan, 1.0])),

@@ -19,7 +19,7 @@ from renet.deploy.recording import recorder
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.recorder import Recorder
 from renet.deploy.safety.watchdog import interruptible
-from renet.deploy.teleop import ScriptedTeleop
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.terminal import Terminal
 
 from ..deploy.fakes import QUICK, Standing, until

@@ -15,7 +15,7 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import next_step
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
-from renet.deploy.teleop import TeleopCommand, Velocity
+from renet.deploy.teleop.base import TeleopCommand, Velocity
 from renet.faults import parse_fault
 from renet.interface import Unseen, proprioception_slices
 from renet.page.writer import WEB

@@ -5,7 +5,6 @@ those of other devices.
 """
 
 import math
-import socket
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,12 +14,15 @@ from typing import Any, ClassVar, Literal
 from renet.bundle.manifest import CameraSpec, RobotSpec
 from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.cameras.realsense import RealSenseCamera, realsense
+from renet.deploy.dds.requirements import demand_card, demand_dds, network_cards
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.replay import ReplayCamera
-from renet.deploy.robots.driver import DriverCfg, RobotDriver
+from renet.deploy.robots.base import DriverCfg, RobotDriver
 from renet.deploy.robots.go1.driver import POWER_LEVEL, demand_power_level, go1_robot
-from renet.deploy.robots.go2.driver import demand_dds, go2_robot
-from renet.deploy.teleop import GamepadTeleop, KeyboardTeleop, Teleop, TeleopCfg
+from renet.deploy.robots.go2.driver import go2_robot
+from renet.deploy.teleop.base import Teleop, TeleopCfg
+from renet.deploy.teleop.gamepad import GamepadTeleop
+from renet.deploy.teleop.keyboard import KeyboardTeleop
 from renet.errors import RenetError, collected, demand_none
 from renet.interface import Terrain
 from renet.motor_models import IDEAL, find_motors
@@ -65,12 +67,12 @@ class SimulationCfg(DriverCfg):
         if self.scene and self.terrain != "flat":
             raise RenetError("--scene brings its own ground: leave --terrain away")
 
-    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+    def build(self, spec: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Build the scene with the robot in it."""
         from renet.deploy.robots.sim.scene import build_scene
 
-        description = find_robot(robot.name)
-        motors = find_motors(self.motors, robot.name)
+        description = find_robot(spec.name)
+        motors = find_motors(self.motors, spec.name)
         model, ground = build_scene(
             self.terrain,
             self.level,
@@ -82,7 +84,7 @@ class SimulationCfg(DriverCfg):
         )
         # An engine of another package may not take motors.
         options = {} if motors is None else {"motors": motors}
-        driver = self.engine()(model, robot, ground, live, **options)
+        driver = self.engine()(model, spec, ground, live, **options)
         if self.viewer:
             from renet.deploy.robots.sim.viewer import BrowserViewer
 
@@ -114,7 +116,7 @@ class Go1Cfg(DriverCfg):
         """Raise RenetError for a power level that the robot does not have."""
         demand_power_level(self.power_level)
 
-    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+    def build(self, spec: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Make the driver of the robot at `robot_host`."""
         return go1_robot(host=self.robot_host, power_level=self.power_level)
 
@@ -134,18 +136,17 @@ class Go2Cfg(DriverCfg):
     def check(self) -> None:
         """Raise RenetError without an interface, or without Cyclone DDS."""
         # All problems go into one error, so that nobody has to try again for each.
-        names = [name for _, name in socket.if_nameindex()]
-        cards = ", ".join(names)
-        problems = []
-        if not self.interface:
-            problems.append(f"--robot go2 needs --interface, its network card: one of {cards}")
-        elif self.interface not in names:
-            problems.append(f"no network interface {self.interface!r} here, only {cards}")
+        problems: list[str] = []
+        with collected(problems):
+            if not self.interface:
+                cards = ", ".join(network_cards())
+                raise RenetError(f"--robot go2 needs --interface, its network card: one of {cards}")
+            demand_card(self.interface)
         with collected(problems):
             demand_dds("the Go2")
         demand_none(problems)
 
-    def build(self, robot: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
+    def build(self, spec: RobotSpec, live: bool, seed: int, dry_run: bool) -> RobotDriver:
         """Make the driver of the robot on `interface`; a dry run leaves the robot's modes alone."""
         return go2_robot(self.interface, self.domain, watch=dry_run)
 
@@ -156,11 +157,11 @@ class SimCameraCfg(CameraCfg):
 
     simulated: ClassVar[bool] = True
 
-    def build(self, camera: CameraSpec, robot: Any, seed: int) -> Camera:
+    def build(self, spec: CameraSpec, robot: Any, seed: int) -> Camera:
         """Make a camera that looks at the robot's scene."""
         from renet.deploy.cameras.sim import SimCamera
 
-        return SimCamera(robot, camera, seed)
+        return SimCamera(robot, spec, seed)
 
 
 @dataclass(frozen=True)
@@ -176,11 +177,9 @@ class RealSenseCfg(CameraCfg):
         """Raise RenetError without the vendor's driver."""
         realsense()
 
-    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
+    def build(self, spec: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """Make a camera whose frames are timed by the robot's clock."""
-        return RealSenseCamera(
-            camera, robot.now, serial=self.serial, upside_down=self.rotate == 180
-        )
+        return RealSenseCamera(spec, robot.now, serial=self.serial, upside_down=self.rotate == 180)
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,7 @@ class ReplayCfg(CameraCfg):
         if self.recording is None:
             raise RenetError("--camera replay needs --recording, whose images it shows")
 
-    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
+    def build(self, spec: CameraSpec, robot: RobotDriver, seed: int) -> Camera:
         """Make a camera that shows the recording from its start."""
         assert self.recording is not None
         return ReplayCamera(read_recording(self.recording), robot.now)
@@ -235,7 +234,7 @@ class Ros2Cfg(TeleopCfg):
     def check(self) -> None:
         """Raise RenetError for a wrong topic or domain, or if Cyclone DDS is not installed."""
         demand_dds("--teleop ros2")
-        from renet.deploy.ros2 import TOPIC, domain_of
+        from renet.deploy.teleop.ros2 import TOPIC, domain_of
 
         if not TOPIC.fullmatch(self.topic):
             raise RenetError(f"--topic must be a name such as cmd_vel, got {self.topic!r}")
@@ -243,7 +242,7 @@ class Ros2Cfg(TeleopCfg):
 
     def build(self, deadman: float, simulated: bool) -> Teleop:
         """Subscribe to the topic, with the keyboard of the terminal, which a real robot needs."""
-        from renet.deploy.ros2 import Ros2Teleop, domain_of
+        from renet.deploy.teleop.ros2 import Ros2Teleop, domain_of
 
         domain = domain_of(self.ros_domain)
         # A simulated robot can hurt nobody, and may run without a terminal.

@@ -15,9 +15,9 @@ from renet import __version__
 from renet.bundle import Bundle
 from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS, TELEOPS
-from renet.deploy.robots.driver import DriverCfg
+from renet.deploy.robots.base import DriverCfg
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.teleop import TeleopCfg
+from renet.deploy.teleop.base import TeleopCfg
 from renet.errors import RenetError, collected, demand_name, demand_none
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, OWN_GROUND, PilotMode, Unseen
@@ -80,25 +80,25 @@ class DeployCfg:
     """Seed of the simulated camera's noise, the terrain and the faults."""
     safety: SafetyCfg = field(default_factory=SafetyCfg)
     """Limits."""
-    driver: Annotated[DriverCfg, NoPrefix] = field(default_factory=DriverCfg)
+    robot_cfg: Annotated[DriverCfg, NoPrefix] = field(default_factory=DriverCfg)
     """Options of the robot; its defaults by default."""
-    lens: Annotated[CameraCfg, NoPrefix] = field(default_factory=CameraCfg)
+    camera_cfg: Annotated[CameraCfg, NoPrefix] = field(default_factory=CameraCfg)
     """Options of the camera; its defaults by default."""
-    operator: Annotated[TeleopCfg, NoPrefix] = field(default_factory=TeleopCfg)
+    teleop_cfg: Annotated[TeleopCfg, NoPrefix] = field(default_factory=TeleopCfg)
     """Options of the operator's device; its defaults by default."""
 
     def __post_init__(self) -> None:
         # A device of which only the name is given has its default options.
-        if type(self.driver) is DriverCfg:
+        if type(self.robot_cfg) is DriverCfg:
             demand_name("robot", self.robot, ROBOTS)
-            object.__setattr__(self, "driver", ROBOTS[self.robot]())
-        camera = self.driver.camera if self.camera == "auto" else self.camera
-        if type(self.lens) is CameraCfg:
+            object.__setattr__(self, "robot_cfg", ROBOTS[self.robot]())
+        camera = self.robot_cfg.camera if self.camera == "auto" else self.camera
+        if type(self.camera_cfg) is CameraCfg:
             demand_name("camera", camera, CAMERAS)
-            object.__setattr__(self, "lens", CAMERAS[camera]())
-        if type(self.operator) is TeleopCfg:
+            object.__setattr__(self, "camera_cfg", CAMERAS[camera]())
+        if type(self.teleop_cfg) is TeleopCfg:
             demand_name("teleop", self.teleop, TELEOPS)
-            object.__setattr__(self, "operator", TELEOPS[self.teleop]())
+            object.__setattr__(self, "teleop_cfg", TELEOPS[self.teleop]())
 
     @staticmethod
     def defaults(arguments: list[str]) -> "DeployCfg":
@@ -126,7 +126,7 @@ class DeployCfg:
     @property
     def live(self) -> bool:
         """True if the robot's clock is the wall's."""
-        return self.driver.live or self.teleop != "auto"
+        return self.robot_cfg.live or self.teleop != "auto"
 
     @property
     def length(self) -> float:
@@ -139,10 +139,10 @@ class DeployCfg:
         """Seconds without a sign of the operator after which the robot stands."""
         if self.deadman is not None:
             return self.deadman
-        if self.operator.silence is not None:
-            return self.operator.silence
+        if self.teleop_cfg.silence is not None:
+            return self.teleop_cfg.silence
         # A simulated robot can hurt nobody.
-        return math.inf if self.driver.simulated else DEADMAN
+        return math.inf if self.robot_cfg.simulated else DEADMAN
 
     @property
     def limits(self) -> SafetyCfg:
@@ -161,8 +161,8 @@ class DeployCfg:
         problems = [*self.problems()]
         bundle = None
         with collected(problems):
-            bundle = Bundle.load(self.bundle or self.driver.bundle)
-            drives = self.driver.drives
+            bundle = Bundle.load(self.bundle or self.robot_cfg.bundle)
+            drives = self.robot_cfg.drives
             name = bundle.manifest.robot.name
             if drives is not None and name != drives.name:
                 raise RenetError(
@@ -172,17 +172,13 @@ class DeployCfg:
         assert bundle is not None
         return bundle
 
-    def check(self) -> None:
-        """Raise RenetError with all settings that cannot work with any bundle."""
-        demand_none(self.problems())
-
     def problems(self) -> list[str]:
         """List the settings that cannot work, a line for each."""
         found = [*self._mistakes()]
         with collected(found):
-            if self.faults and type(self.lens) is CameraCfg:
+            if self.faults and type(self.camera_cfg) is CameraCfg:
                 raise RenetError("--fault needs a camera to spoil")
-        for part in (self.driver, self.lens, self.operator):
+        for part in (self.robot_cfg, self.camera_cfg, self.teleop_cfg):
             with collected(found):
                 part.check()
         return found
@@ -197,15 +193,15 @@ class DeployCfg:
             yield f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {self.speed}"
         if self.seed < 0:
             yield f"--seed must not be negative, got {self.seed}"
-        if not self.driver.simulated:
-            if self.lens.simulated:
+        if not self.robot_cfg.simulated:
+            if self.camera_cfg.simulated:
                 yield f"--camera {self.camera} looks at a simulation: use realsense, replay or none"
             if self.teleop == "auto" and not self.dry_run:
                 yield "a real robot needs --teleop keyboard, joystick or ros2, or --dry-run"
 
     def header(self, bundle: Bundle) -> dict[str, Any]:
         """Describe a run of a bundle for its recording, as JSON values."""
-        devices = vars(self.driver) | vars(self.lens) | vars(self.operator)
+        devices = vars(self.robot_cfg) | vars(self.camera_cfg) | vars(self.teleop_cfg)
         options = {}
         for name, value in devices.items():
             options[name] = value if isinstance(value, int | float | None) else str(value)
@@ -213,13 +209,10 @@ class DeployCfg:
             # It replaces the terrain, and has no levels.
             options |= {"terrain": OWN_GROUND, "level": None}
         selector = bundle.manifest.selector
-        # The paper's switch knows one threshold; the other modes use those of the calibration.
+        thresholds = selector.used_thresholds
+        # The paper's switch knows one threshold.
         if self.mode == "switch":
-            beta = selector.beta
             thresholds = {"reconstruction": selector.beta}
-        else:
-            beta = selector.thresholds.get("reconstruction", selector.beta)
-            thresholds = selector.used_thresholds
         return {
             **options,
             "safety": asdict(self.limits),
@@ -236,5 +229,4 @@ class DeployCfg:
             "bundle_sha256": bundle.sha256,
             "models": bundle.manifest.sha256,
             "thresholds": thresholds,
-            "beta": beta,
         }

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from renet.bundle import Bundle
-from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.base import RobotDriver
 from renet.errors import RenetError, demand_none
 from renet.interface import CONTROL_DT
 

@@ -21,7 +21,7 @@ from renet.deploy.safety.checks import stand_up_problem, teleop_problem
 from renet.deploy.safety.limits import SafetyCfg, limited_command, limited_velocity, rate_after
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
 from renet.deploy.steering import STEERINGS
-from renet.deploy.teleop import TeleopCommand, Velocity
+from renet.deploy.teleop.base import TeleopCommand, Velocity
 from renet.deploy.watch.body import BodyWatch
 from renet.deploy.watch.leg_order import LegTest
 from renet.errors import RenetError

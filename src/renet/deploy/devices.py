@@ -13,11 +13,12 @@ from renet.deploy.cameras.base import Camera, CameraCfg
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.checklist import SLOW, Checklist, count_readings, time_models
-from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.base import RobotDriver
 from renet.deploy.robots.envelope import demand_within
 from renet.deploy.robots.real.driver import RealRobot
 from renet.deploy.robots.real.lock import claim
-from renet.deploy.teleop import ScriptedTeleop, Teleop, TeleopCfg
+from renet.deploy.teleop.base import Teleop, TeleopCfg
+from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.errors import RenetError, collected
 from renet.interface import Told
 
@@ -52,9 +53,9 @@ def start_devices(
     """
     robot = make_robot(cfg, bundle)
     # The sender process of a `RealRobot` holds a lock of its own.
-    if not (cfg.driver.simulated or isinstance(robot, RealRobot)):
-        stack.enter_context(claim(f"{cfg.robot} {cfg.driver.address}".rstrip()))
-    camera = cfg.lens.build(bundle.manifest.camera, robot, cfg.seed)
+    if not (cfg.robot_cfg.simulated or isinstance(robot, RealRobot)):
+        stack.enter_context(claim(f"{cfg.robot} {cfg.robot_cfg.address}".rstrip()))
+    camera = cfg.camera_cfg.build(bundle.manifest.camera, robot, cfg.seed)
     teleop = None
     with checklist.step(f"{cfg.teleop} can steer"):
         teleop = make_teleop(cfg, bundle.manifest.told)
@@ -69,13 +70,13 @@ def start_devices(
         say(refused)
     if camera is not None:
         with checklist.step("the camera sends images"):
-            _start_camera(camera, cfg.driver.simulated, checklist.patience)
+            _start_camera(camera, cfg.robot_cfg.simulated, checklist.patience)
         # Onsets of faults count from the first look, hence from the run's first step.
         if cfg.fault:
             camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed)
     if checklist.patience:
         # A simulated robot's readings are always in time, and a silent one sends none to count.
-        counted = answers and not cfg.driver.simulated
+        counted = answers and not cfg.robot_cfg.simulated
         _check_pace(robot if counted else None, bundle, checklist)
     checklist.finish()
     # Raised before, if there is none.
@@ -94,15 +95,15 @@ def missing_devices(cfg: DeployCfg, say: Callable[[str], None]) -> list[str]:
     """
     problems: list[str] = []
     with ExitStack() as stack:
-        manifest = read_manifest(pretrained(cfg.driver.bundle or DEFAULT))
-        if _complete(cfg.operator):
+        manifest = read_manifest(pretrained(cfg.robot_cfg.bundle or DEFAULT))
+        if _complete(cfg.teleop_cfg):
             with collected(problems):
                 stack.callback(close_device, make_teleop(cfg, manifest.told), say)
-        if not cfg.lens.simulated and _complete(cfg.lens):
+        if not cfg.camera_cfg.simulated and _complete(cfg.camera_cfg):
             # In place of the robot, whose clock is all that a camera needs.
             clock: Any = SimpleNamespace(now=time.monotonic)
             with collected(problems):
-                camera = cfg.lens.build(manifest.camera, clock, cfg.seed)
+                camera = cfg.camera_cfg.build(manifest.camera, clock, cfg.seed)
                 stack.callback(close_device, camera, say)
                 if camera is not None:
                     _start_camera(camera, simulated=False, demanded=True)
@@ -169,7 +170,7 @@ def _start_camera(camera: Camera, simulated: bool, demanded: bool) -> None:
 def make_robot(cfg: DeployCfg, bundle: Bundle) -> RobotDriver:
     """Make the robot, without connecting it; raises RenetError for a bundle that it cannot take."""
     spec = bundle.manifest.robot
-    robot = cfg.driver.build(spec, cfg.live, cfg.seed, cfg.dry_run)
+    robot = cfg.robot_cfg.build(spec, cfg.live, cfg.seed, cfg.dry_run)
     demand_within(robot.description, spec)
     return robot
 
@@ -178,7 +179,7 @@ def make_teleop(cfg: DeployCfg, told: Told) -> Teleop:
     """Open the operator's device, and print how to steer a policy with it, by what it is told."""
     if cfg.teleop == "auto":
         return ScriptedTeleop(cfg.speed)
-    teleop = cfg.operator.build(cfg.operator_timeout, cfg.driver.simulated)
+    teleop = cfg.teleop_cfg.build(cfg.operator_timeout, cfg.robot_cfg.simulated)
     controls = teleop.controls
     if told == "heading":
         controls = getattr(teleop, "controls_ahead", controls)

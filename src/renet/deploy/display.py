@@ -1,4 +1,4 @@
-"""Status line of the terminal: sight, and the velocity that is commanded beside the robot's own."""
+"""Displays of control steps in the terminal: the status of a walk, and a dry run's commands."""
 
 import math
 from collections.abc import Callable
@@ -6,20 +6,41 @@ from collections.abc import Callable
 import numpy as np
 
 from renet.deploy.controller import Decision
-from renet.deploy.robots.base import RobotState
+from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import Velocity
-from renet.interface import CONTROL_DT
+from renet.deploy.teleop.base import Velocity
+from renet.interface import CONTROL_DT, JOINTS
 from renet.selector.selector import BLIND, REMEMBERS, SEES
 
 SHOW_EVERY = 10
 """Number of control steps from one line to the next, 0.2 s."""
+PRINT_EVERY = 25
+"""Number of control steps from one printed command of a dry run to the next, 0.5 s."""
 _SMOOTHING = 0.5
 """Time constant of the low-pass filter of the robot's velocity, s; a gait swings faster."""
 
 
+class CommandDisplay:
+    """Lines with what a dry run would command."""
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        """Print lines by calling `say`."""
+        self._say = say
+        self._steps = 0
+        self._said = ""
+
+    def step(self, command: JointCommand) -> None:
+        """Count a control step, and print every 25th command, if it is another than before."""
+        if self._steps % PRINT_EVERY == 0:
+            line = _command_text(command)
+            if line != self._said:
+                self._say(line)
+            self._said = line
+        self._steps += 1
+
+
 class VelocityDisplay:
-    """Shows the velocity that the policy is to follow beside the one with which the robot walks."""
+    """Line of status: sight, the velocity that the policy is to follow, and the robot's own."""
 
     def __init__(self, show: Callable[[str], None]) -> None:
         """Show lines by calling `show`."""
@@ -48,6 +69,14 @@ class VelocityDisplay:
     def _line(self, decision: Decision) -> str:
         walked = Velocity(*self._walked.tolist())
         return f"{_state(decision)}; told {_text(decision.followed)}; walks {_text(walked)}"
+
+
+def _command_text(command: JointCommand) -> str:
+    """Write the target, rad, and Kp of each joint."""
+    parts = []
+    for name, position, stiffness in zip(JOINTS, command.position, command.stiffness, strict=True):
+        parts.append(f"{name.removesuffix('_joint')} {position:+.2f} (Kp {stiffness:.0f})")
+    return "  ".join(parts)
 
 
 def _state(decision: Decision) -> str:

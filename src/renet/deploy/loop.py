@@ -14,12 +14,11 @@ from typing import Any
 from renet.deploy.cameras.base import Camera, DepthFrame
 from renet.deploy.controller import Controller
 from renet.deploy.recording.recorder import Recorder
-from renet.deploy.robots.base import JointCommand, RobotState
-from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.base import JointCommand, RobotDriver, RobotState
 from renet.deploy.robots.envelope import clamp, demand_within
 from renet.deploy.safety.checks import pre_arm_problem
 from renet.deploy.safety.machine import ENDED, EXHAUSTED, REFUSED, Mode, damping_command
-from renet.deploy.teleop import Teleop, TeleopCommand
+from renet.deploy.teleop.base import Teleop, TeleopCommand
 from renet.deploy.watch.power import PowerWatch
 from renet.interface import CONTROL_DT
 

@@ -4,9 +4,9 @@ A policy is told the velocity of its base, or a speed and the angle to a heading
 """
 
 import math
-from typing import Protocol
+from abc import ABC, abstractmethod
 
-from renet.deploy.teleop import Velocity
+from renet.deploy.teleop.base import Velocity
 from renet.interface import CONTROL_DT, MAX_TURN, TURN_GAIN, Told
 
 MAX_LEAD = math.pi / 2
@@ -15,33 +15,28 @@ FORWARD_ONLY = "this policy cannot walk backward or sideways; go1-driven, for th
 """Reason of a refusal."""
 
 
-class Steering(Protocol):
+class Steering(ABC):
     """Turns velocities into a policy's commands, one at each control step of a walk."""
-
-    refused: str
-    """Reason for which a part of the last velocity was left out; empty if none was."""
-    followed: Velocity
-    """Last velocity without the part that was left out."""
-
-    def start(self, heading: float) -> None:
-        """Begin a walk at the robot's heading, rad."""
-
-    def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
-        """Return the policy's command for a velocity within limits and the robot's heading, rad."""
-        ...
-
-
-class HeadingSteering:
-    """Steering of policies that are told (c_x, sin e, cos e), e the angle to the wished heading."""
 
     def __init__(self) -> None:
         self.refused = ""
+        """Reason for which a part of the last velocity was left out; empty if none was."""
         self.followed = Velocity()
+        """Last velocity without the part that was left out."""
         self._wished = 0.0
+        """Heading that the robot is to have, rad."""
 
     def start(self, heading: float) -> None:
-        """Begin a walk."""
+        """Begin a walk at the robot's heading, rad."""
         self._wished = heading
+
+    @abstractmethod
+    def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
+        """Return the policy's command for a velocity within limits and the robot's heading, rad."""
+
+
+class HeadingSteering(Steering):
+    """Steering of policies that are told (c_x, sin e, cos e), e the angle to the wished heading."""
 
     def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
         """Return (c_x, sin e, cos e), c_x in m/s; such policies only walk ahead."""
@@ -53,7 +48,7 @@ class HeadingSteering:
         return self.followed.forward, math.sin(error), math.cos(error)
 
 
-class TwistSteering:
+class TwistSteering(Steering):
     """Steering of policies that are told the velocity itself; it keeps the heading.
 
     A policy that is told not to turn still drifts by some hundredths of a radian a second, which
@@ -67,15 +62,6 @@ class TwistSteering:
     that it has then, even if it was turned by hand.
     """
 
-    def __init__(self) -> None:
-        self.refused = ""
-        self.followed = Velocity()
-        self._kept = 0.0
-
-    def start(self, heading: float) -> None:
-        """Begin a walk."""
-        self._kept = heading
-
     def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
         """Return (v_x, v_y, omega_z), m/s and rad/s."""
         self.followed = velocity
@@ -83,14 +69,14 @@ class TwistSteering:
         stands = forward == 0.0 and left == 0.0
         # While the operator turns or the robot stands, nothing is corrected.
         if turn_rate != 0.0 or stands:
-            self._kept = heading
+            self._wished = heading
             return forward, left, turn_rate
-        error = _lead(self._kept, heading)
-        self._kept = heading + error
+        error = _lead(self._wished, heading)
+        self._wished = heading + error
         return forward, left, min(max(TURN_GAIN * error, -MAX_TURN), MAX_TURN)
 
 
-STEERINGS: dict[Told, type[HeadingSteering] | type[TwistSteering]] = {
+STEERINGS: dict[Told, type[Steering]] = {
     "heading": HeadingSteering,
     "twist": TwistSteering,
 }

@@ -17,7 +17,7 @@ from renet.deploy.robots.sim.mujoco import SEEN_GROUPS
 from renet.deploy.robots.sim.scene import FLAT, scene_spec
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.steering import FORWARD_ONLY, MAX_LEAD
-from renet.deploy.teleop import KEYS, STAND_KEY
+from renet.deploy.teleop.keyboard import KEYS, STAND_KEY
 from renet.faults import FAULTS, SEVERITIES, Fault
 from renet.interface import HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT
 from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink
@@ -167,8 +167,12 @@ def _fault(fault: type[Fault], title: str) -> dict[str, Any]:
 
 
 def _bundle(bundle: Bundle) -> dict[str, Any]:
-    robot, spec = find_robot(bundle.manifest.robot.name), bundle.manifest.selector
+    robot = find_robot(bundle.manifest.robot.name)
+    spec = bundle.manifest.selector
     remembers = spec.longest_memory > 0.0
+    grounds = []
+    for terrain, (title, level, done) in GROUNDS.items():
+        grounds.append(_ground(robot, terrain, title, level, done))
     return {
         "name": bundle.name,
         "robot": robot.name,
@@ -176,7 +180,7 @@ def _bundle(bundle: Bundle) -> dict[str, Any]:
         "base": {"body": interface.TRUNK, "height": robot.height},
         "opening": _opening(remembers),
         "selectors": {kind: _selector(kind, spec) for kind in SELECTORS},
-        "grounds": [_ground(robot, terrain, *words) for terrain, words in GROUNDS.items()],
+        "grounds": grounds,
     }
 
 
@@ -205,18 +209,24 @@ def _opening(remembers: bool) -> dict[str, Any]:
 
 def _selector(kind: str, spec: SelectorSpec) -> dict[str, Any]:
     selector = make_selector(kind, spec)
+    monitors = []
+    for name, threshold in selector.thresholds.items():
+        monitor = MONITORS[name]
+        entry = {
+            "name": name,
+            "threshold": threshold,
+            "reason": monitor.reason,
+            "output": OUTPUTS.get(monitor.output, ""),
+            "ofImage": monitor.of_image,
+        }
+        monitors.append(entry)
     return {
         "gamma": spec.gamma,
         "rate": spec.rate_hz,
         "dwell": selector.dwell,
         "betweenReturns": selector.between_returns,
         "longestMemory": selector.longest_memory,
-        "monitors": [
-            {"name": name, "threshold": threshold, "reason": monitor.reason}
-            | {"output": OUTPUTS.get(monitor.output, ""), "ofImage": monitor.of_image}
-            for name, threshold in selector.thresholds.items()
-            for monitor in [MONITORS[name]]
-        ],
+        "monitors": monitors,
     }
 
 
@@ -236,11 +246,15 @@ def _obstacle(model: mujoco.MjModel, start: float) -> tuple[float, float] | None
     """Where the ground ahead first and last changes its height, m from the start; None: never."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    ahead, above = np.arange(0.0, TILE / 2, PROFILE), start + TILE
-    down, geom = np.array([0.0, 0.0, -1.0]), np.zeros(1, np.int32)
-    hit = SEEN_GROUPS, True, -1, geom  # Static geoms count, no body is left out.
-    fall = [mujoco.mj_ray(model, data, np.array([x, 0.0, above]), down, *hit) for x in ahead]
-    changes = ahead[1:][np.abs(np.diff(fall)) > PROFILE]
+    ahead = np.arange(0.0, TILE / 2, PROFILE)
+    down = np.array([0.0, 0.0, -1.0])
+    geom = np.zeros(1, np.int32)
+    depths = []
+    for x in ahead:
+        eye = np.array([x, 0.0, start + TILE])
+        # Static geoms count, and no body is left out.
+        depths.append(mujoco.mj_ray(model, data, eye, down, SEEN_GROUPS, True, -1, geom))
+    changes = ahead[1:][np.abs(np.diff(depths)) > PROFILE]
     return (float(changes[0]), float(changes[-1])) if len(changes) else None
 
 

@@ -106,17 +106,24 @@ def write_page(cfg: PageCfg) -> Path:
 
 def _contents(bundles: Sequence[Bundle], runtime: Path) -> dict[str, bytes]:
     """Every file of a page by its name, the mark with the digests of all others among them."""
-    tops = [p for p in WEB.iterdir() if not p.name.startswith(("node_modules", "package", "."))]
-    web = [path for top in tops for path in (top, *top.rglob("*")) if path.is_file()]
-    contents = {path.relative_to(WEB).as_posix(): path.read_bytes() for path in web}
-    contents |= {f"vendor/{name}": (runtime / name).read_bytes() for name in VENDOR}
+    contents = {}
+    for top in WEB.iterdir():
+        if top.name.startswith(("node_modules", "package", ".")):
+            continue
+        for path in (top, *top.rglob("*")):
+            if path.is_file():
+                contents[path.relative_to(WEB).as_posix()] = path.read_bytes()
+    for name in VENDOR:
+        contents[f"vendor/{name}"] = (runtime / name).read_bytes()
     mark = contract(bundles)
     for number, (bundle, entry) in enumerate(zip(bundles, mark["bundles"], strict=True)):
-        entry["folder"], look = f"bundles/{number}", look_name(entry["robot"])
+        folder = f"bundles/{number}"
+        look = look_name(entry["robot"])
+        entry["folder"] = folder
         entry["look"] = look if look in contents else None
         for name in (MANIFEST, *(f"{model}.onnx" for model in MODELS)):
             file = read_bytes(bundle.path / name, MAX_MODEL_BYTES, "bundle's file")
-            contents[f"{entry['folder']}/{name}"] = file
+            contents[f"{folder}/{name}"] = file
     mark["sizes"] = {name: len(data) for name, data in contents.items()}
     digests = {name: sha256(data).hexdigest() for name, data in contents.items()}
     return contents | {MARK: json.dumps({**mark, "files": digests}).encode()}
@@ -129,10 +136,12 @@ def _earlier(folder: Path) -> set[str]:
     digests = read_object(folder / MARK, "page's mark").get("files")
     if not isinstance(digests, dict):
         return {MARK}
-    return {MARK} | {
-        name
-        for name, digest in digests.items()
-        if ".." not in name.split("/")
-        and (folder / name).is_file()
-        and sha256(read_bytes(folder / name, MAX_FILE, "page's file")).hexdigest() == digest
-    }
+    earlier = {MARK}
+    for name, digest in digests.items():
+        path = folder / name
+        # A damaged mark must not lead out of the folder.
+        if ".." in name.split("/") or not path.is_file():
+            continue
+        if sha256(read_bytes(path, MAX_FILE, "page's file")).hexdigest() == digest:
+            earlier.add(name)
+    return earlier

@@ -14,7 +14,7 @@ from renet.deploy.loop import run_control_loop
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.robots import find_robot
 
 from ..fakes import robot_on

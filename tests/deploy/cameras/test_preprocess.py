@@ -27,8 +27,9 @@ def test_every_pixel_is_taken_where_training_casts_its_ray():
 def test_a_camera_that_is_upside_down_shows_the_same():
     random = np.random.default_rng(0)
     lens = Intrinsics(480, 848, 446.8, 446.8, 420.0, 243.0)
-    turned = Intrinsics(480, 848, -446.8, -446.8, 848 - 420.0, 480 - 243.0)
-    upright, upside_down = (DepthPreprocessor(one, camera_spec()) for one in (lens, turned))
+    turned = Intrinsics(480, 848, 446.8, 446.8, 848 - 420.0, 480 - 243.0)
+    upright = DepthPreprocessor(lens, camera_spec())
+    upside_down = DepthPreprocessor(turned, camera_spec(), upside_down=True)
     depth = random.uniform(0.0, 2.0, (480, 848)) * (random.random((480, 848)) > 0.1)
     np.testing.assert_array_equal(upside_down.image(depth[::-1, ::-1]), upright.image(depth))
     assert upside_down.invalid(depth[::-1, ::-1]) == upright.invalid(depth)

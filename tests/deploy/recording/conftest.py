@@ -32,4 +32,10 @@ def flight() -> Recording:
     ticks["anomaly"] = 0.01
     ticks["anomaly"][:RISEN] = np.inf
     events = [Event(1002.0, "walking", "stood_up"), Event(1006.0, "blind", "no <new> image")]
-    return Recording({"beta": 0.02, "fault": ["unplugged@5.8s"]}, ticks, {}, events, True)
+    return Recording(
+        {"thresholds": {"reconstruction": 0.02}, "fault": ["unplugged@5.8s"]},
+        ticks,
+        {},
+        events,
+        True,
+    )

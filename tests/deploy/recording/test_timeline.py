@@ -35,7 +35,9 @@ def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
         assert "text-anchor: end" in reason, "else a late one leaves the picture"
         flight.events.append(Event(flight.ticks["now"][300], "unseen", "the ground ends: it stops"))
         assert "unseen: the ground ends: it stops" in drawn(flight, [], tmp_path)
-        hostile = replace(flight, header={"bundle": "$\\frac{$<script>", "beta": 1e14})
+        hostile = replace(
+            flight, header={"bundle": "$\\frac{$<script>", "thresholds": {"reconstruction": 1e14}}
+        )
         assert "&lt;script&gt;" in drawn(hostile, [], tmp_path)
 
 

@@ -11,8 +11,8 @@ from renet.deploy.robots.go2.link import COMMAND_TOPIC, LEG_MOTORS, Go2Link
 from renet.deploy.robots.go2.messages import LowCmd
 from renet.deploy.robots.real.braking import PERIOD
 
+from ..dds.domain import free_domain
 from . import peer
-from .dds import free_domain
 
 BUSY = 7002
 """What MotionSwitcher says instead of ending a mode, now and then."""

@@ -16,7 +16,7 @@ from renet.deploy.controller import Controller
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.robots.real.braking import PERIOD, Link
 from renet.deploy.robots.real.driver import RealRobot
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.interface import CONTROL_DT, JOINTS
 
 from ..fakes import command, until

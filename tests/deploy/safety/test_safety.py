@@ -22,7 +22,7 @@ from renet.deploy.safety.limits import (
     rate_after,
 )
 from renet.deploy.safety.machine import Mode, SafetyMachine, damping_command, stand_up_target
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT
 from renet.training.export import robot_spec

@@ -13,7 +13,7 @@ from renet.deploy.loop import run_control_loop
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import ENDED
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.interface import JOINTS
 
 from ..fakes import robot_on

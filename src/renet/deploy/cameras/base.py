@@ -6,7 +6,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from renet.bundle.manifest import CameraSpec
-from renet.deploy.robots.driver import RobotDriver
+from renet.deploy.robots.base import RobotDriver
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,11 @@ class DepthFrame:
 
 
 class Camera(Protocol):
-    """Depth camera whose methods return without waiting for an image."""
+    """Depth camera whose methods return without waiting for an image.
+
+    It may have an attribute `problem`, which is told to the operator when it changes, and in a
+    simulation a method `perturb`, which changes what it sees by a `faults.ViewPerturbation`.
+    """
 
     busy: bool = False
     """True while the robot is not braked, and must not be delayed by the camera."""
@@ -49,11 +53,11 @@ class CameraCfg:
     def check(self) -> None:
         """Raise RenetError for options that cannot work."""
 
-    def build(self, camera: CameraSpec, robot: RobotDriver, seed: int) -> Camera | None:
+    def build(self, spec: CameraSpec, robot: RobotDriver, seed: int) -> Camera | None:
         """Make the camera without starting it; None stands for a run without a camera.
 
         Args:
-            camera: Format of the images that the bundle's policy needs.
+            spec: Format of the images that the bundle's policy needs.
             robot: Robot on whose clock frames are timed.
             seed: Seed of a simulated camera's noise.
 

@@ -14,19 +14,22 @@ from renet.errors import RenetError
 class DepthPreprocessor:
     """Samples a policy's pixels from the images of one camera."""
 
-    def __init__(self, lens: Intrinsics, spec: CameraSpec) -> None:
+    def __init__(self, lens: Intrinsics, spec: CameraSpec, upside_down: bool = False) -> None:
         """Find the pixels to sample.
 
         Args:
-            lens: Lens of the camera, without distortion. Both focal lengths are negative for a
-                camera that is mounted upside down.
+            lens: Lens of the camera, without distortion.
             spec: Format of the policy's images.
+            upside_down: True if the camera is turned by 180 degrees in its mount.
 
         Raises:
             RenetError: The camera's view is too narrow for the policy.
         """
         # Directions of the policy's rays, then the pixels in which they meet the camera's image.
         left, up = spec.intrinsics.axes()
+        if upside_down:
+            left = -left
+            up = -up
         self._columns = np.rint(lens.cx - 0.5 - lens.fx * left).astype(int)
         self._rows = np.rint(lens.cy - 0.5 - lens.fy * up).astype(int)
         for name, index, size in (

@@ -116,8 +116,7 @@ class RealSenseCamera(Camera):
         self._clock = clock
         self._device = device
         self._serial = serial
-        # Negative focal lengths read both axes of the image backwards.
-        self._turn = -1 if upside_down else 1
+        self._upside_down = upside_down
         self._rs = realsense()
         self._latest: DepthFrame | None = None
         self._stop = threading.Event()
@@ -247,9 +246,8 @@ class RealSenseCamera(Camera):
         lens = profile.as_video_stream_profile().get_intrinsics()
         # librealsense puts the origin at the centre of the first pixel, renet at its corner.
         middle = (lens.ppx + 0.5, lens.ppy + 0.5)
-        focal = (self._turn * lens.fx, self._turn * lens.fy)
-        intrinsics = Intrinsics(lens.height, lens.width, *focal, *middle)
-        return DepthPreprocessor(intrinsics, self._spec)
+        intrinsics = Intrinsics(lens.height, lens.width, lens.fx, lens.fy, *middle)
+        return DepthPreprocessor(intrinsics, self._spec, self._upside_down)
 
 
 def _shut(sensor: Any) -> None:

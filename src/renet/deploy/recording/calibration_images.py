@@ -51,8 +51,8 @@ def image_scores(
             little, or no walking robot sees such depths.
     """
     paths = image_paths(folder)
-    camera = _intrinsics(read_image(paths[0]).shape, lens, upside_down)
-    preprocessor = DepthPreprocessor(camera, bundle.manifest.camera)
+    camera = _intrinsics(read_image(paths[0]).shape, lens)
+    preprocessor = DepthPreprocessor(camera, bundle.manifest.camera, upside_down)
     judge = _ImageJudge(bundle)
     rows = []
     medians = []
@@ -130,16 +130,14 @@ def _check_scale(medians: list[float]) -> None:
 
 
 def _intrinsics(
-    shape: tuple[int, ...], lens: tuple[float, float, float, float] | None, upside_down: bool
+    shape: tuple[int, ...], lens: tuple[float, float, float, float] | None
 ) -> Intrinsics:
     """Make the intrinsics of images of a shape (rows, columns) and a lens, or the default one."""
     height, width = shape
     if lens is None:
         focal = width / 2 / math.tan(_VIEW_ANGLE / 2)
         lens = (focal, focal, width / 2, height / 2)
-    fx, fy, cx, cy = lens
-    turn = -1.0 if upside_down else 1.0
-    return Intrinsics(height, width, turn * fx, turn * fy, cx, cy)
+    return Intrinsics(height, width, *lens)
 
 
 def read_image(path: Path) -> np.ndarray:

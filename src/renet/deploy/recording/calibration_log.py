@@ -1,18 +1,20 @@
 """Scores of the monitors in recorded runs with a healthy camera, for `renet calibrate --log`."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from renet.bundle import Bundle
+from renet.deploy.recording.objections import selector_input
 from renet.deploy.recording.reader import Recording, read_recording
 from renet.deploy.recording.score import fallen
 from renet.deploy.recording.tick import GOOD, MODES
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
-from renet.selector.monitors import MONITORS, Scorer, SelectorInput
+from renet.selector.monitors import MONITORS, Scorer
 
 _MAX_IMAGE_AGE = 1.0
 """Age of an image, s, from which the camera was unplugged rather than late."""
@@ -101,27 +103,14 @@ def score_walk(run: Recording, walk: range) -> np.ndarray:
     image = np.zeros(0)
     scores = []
     for step, row in enumerate(walk):
-        tick = run.ticks[row]
         newest = run.images.get(row, newest)
         # As in the run, the monitors see the images that were given to the policy.
         fresh = step % STEPS_PER_TICK == 0 and newest is not given
         if fresh:
             given = newest
             image = newest[None].astype(np.float32)
-        seen = SelectorInput(
-            anomaly_score=tick["anomaly"][None],
-            variance_score=tick["variance"][None],
-            surprise=tick["surprise"][None],
-            stillness=tick["stillness"][None],
-            image=image,
-            fresh=np.array([fresh]),
-            age=tick["frame_age"][None],
-            invalid=tick["frame_invalid"][None],
-            velocity_op=tick["velocity_op"][None],
-            velocity_vp=tick["velocity_vp"][None],
-            has_image=tick["has_image"][None],
-            map_error=tick["map_error"][None],
-        )
+        recorded = selector_input(run.ticks[row : row + 1])
+        seen = replace(recorded, image=image, fresh=np.array([fresh]))
         scores.append(scorer.scores(seen)[:, 0])
     table = np.array(scores, float)
     return table.reshape(-1, STEPS_PER_TICK, len(MONITORS)).max(axis=1)

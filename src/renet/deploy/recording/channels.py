@@ -14,9 +14,9 @@ import numpy as np
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, IndexType, Writer
 
+from renet.deploy.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from renet.deploy.controller import Event
 from renet.deploy.recording import tick
-from renet.deploy.recording.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from renet.files import MEGABYTE
 from renet.interface import DEPTH_SHAPE
 from renet.selector.selector import REMEMBERS, SEES

@@ -1,7 +1,5 @@
 """Scores of the monitors of vision over their thresholds, from the recording of a run."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from renet.deploy.recording.reader import Recording
@@ -16,31 +14,33 @@ _MAX_MONITORS = 4
 def ratios(run: Recording) -> dict[str, np.ndarray]:
     """Return scores over thresholds, [T] by the monitor's name; a monitor objects from 1 on.
 
-    Thresholds come from the recording's header. In an older recording, only the reconstruction has
-    one.
+    Thresholds come from the recording's header.
     """
-    ticks = run.ticks
-    header = run.header
-    thresholds: Mapping[str, float] = header.get("thresholds") or {}
-    if not thresholds and header.get("beta"):
-        thresholds = {"reconstruction": float(header["beta"])}
-    apart = ticks["velocity_op"].astype(float) - ticks["velocity_vp"]
-    scores = {
-        "frame_age": ticks["frame_age"],
-        **_of_images(run),
-        "invalid_fraction": ticks["frame_invalid"],
-        "variance": ticks["variance"],
-        "reconstruction": ticks["anomaly"],
-        "surprise": ticks["surprise"],
-        "stillness": ticks["stillness"],
-        "disagreement": np.linalg.norm(apart, axis=1),
-        "map_error": ticks["map_error"],
-    }
+    seen = selector_input(run.ticks)
+    facts = _image_facts(run)
     found = {}
-    for name, threshold in thresholds.items():
-        if name in scores:
-            found[name] = _ratio(np.asarray(scores[name], float), threshold)
+    for name, threshold in run.header.get("thresholds", {}).items():
+        # Another version of renet may have had others.
+        if name in MONITORS:
+            score = np.asarray(MONITORS[name].score(seen, facts), float)
+            found[name] = _ratio(score, threshold)
     return found
+
+
+def selector_input(ticks: np.ndarray) -> SelectorInput:
+    """Return the state of vision at recorded ticks [T], as that of T robots, without images."""
+    return SelectorInput(
+        anomaly_score=ticks["anomaly"],
+        variance_score=ticks["variance"],
+        surprise=ticks["surprise"],
+        stillness=ticks["stillness"],
+        age=ticks["frame_age"],
+        invalid=ticks["frame_invalid"],
+        velocity_op=ticks["velocity_op"],
+        velocity_vp=ticks["velocity_vp"],
+        has_image=ticks["has_image"],
+        map_error=ticks["map_error"],
+    )
 
 
 def objectors(run: Recording) -> dict[str, np.ndarray]:
@@ -68,23 +68,28 @@ def _ratio(score: np.ndarray, threshold: float) -> np.ndarray:
         return score / threshold if threshold > 0.0 else threshold / score
 
 
-def _of_images(run: Recording) -> dict[str, np.ndarray]:
-    """Return the scores, [T] by name, of the monitors that compare pixels.
+def _image_facts(run: Recording) -> Scorer:
+    """Return a scorer with the facts about images at each tick, as those of T robots.
 
     Before the first image, no monitor objects.
     """
     count = len(run.ticks)
-    names = ("duplicate", "partly_frozen", "uniformity", "nearness")
-    found = {name: np.zeros(count) for name in names}
-    found["uniformity"][:] = -np.inf
+    facts = Scorer(0)
+    facts.repeats = np.zeros(count)
+    facts.partly_equal = np.zeros(count)
+    facts.contrast = np.full(count, np.inf)
+    facts.near = np.zeros(count)
     scorer = Scorer(1)
     for row in sorted(run.images):
         image = run.images[row].astype(float)[None]
-        seen = SelectorInput(np.zeros(1), image=image, fresh=np.ones(1, bool))
-        # The scores hold until the next image.
-        for name, score in zip(names, scorer.scores(seen, names), strict=True):
-            found[name][row:] = score
-    return found
+        fresh = np.ones(1, bool)
+        scorer.scores(SelectorInput(np.zeros(1), image=image, fresh=fresh), names=())
+        # The values hold until the next image.
+        facts.repeats[row:] = scorer.repeats
+        facts.partly_equal[row:] = scorer.partly_equal
+        facts.contrast[row:] = scorer.contrast
+        facts.near[row:] = scorer.near
+    return facts
 
 
 def legend_of(name: str) -> str:

@@ -22,8 +22,8 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
+from renet.deploy.cdr import payload_of
 from renet.deploy.controller import Event
-from renet.deploy.recording.cdr import payload_of
 from renet.deploy.recording.channels import (
     LAST_SECOND,
     MAX_CHUNK,
@@ -39,9 +39,7 @@ from renet.files import MEGABYTE, parse_json, require_regular
 MAGIC = MCAP0_MAGIC
 """First bytes of every MCAP file."""
 EARLIER = b"RENETLOG"
-"""First bytes of recordings before they were MCAP files; the number of their format follows."""
-_EARLIER_WRITERS = {b"4": "renet 0.1", b"5": "a version in development between renet 0.1 and MCAP"}
-"""Versions of renet that write and read these formats, by number."""
+"""First bytes of recordings of renet 0.1, which were no MCAP files."""
 RECORD = struct.Struct("<BQ")
 """Head of an MCAP record: opcode and length."""
 _MAX_BYTES = 4000 * MEGABYTE
@@ -63,9 +61,9 @@ class Header(TypedDict, total=False):
     bundle: str | None
     bundle_sha256: str | None
     robot: str | None
-    selector: str | None
+    mode: str
+    unseen: str
     terrain: str | None
-    beta: Number | None
     level: Number | None
     onsets: list[Number]
     fault: list[str]
@@ -118,8 +116,7 @@ def _demand_mcap(file: BinaryIO, path: Path) -> None:
     """Read the first bytes; raises RenetError for a file that is not MCAP."""
     magic = file.read(len(MAGIC))
     if magic == EARLIER:
-        writer = _EARLIER_WRITERS.get(file.read(1), "an earlier renet")
-        raise RenetError(f"{path} is a recording of {writer}: only that version reads it")
+        raise RenetError(f"{path} is a recording of renet 0.1: only that version reads it")
     if magic != MAGIC:
         raise RenetError(f"{path} is not a recording: give an MCAP file of `renet deploy`")
 

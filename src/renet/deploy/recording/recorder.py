@@ -26,7 +26,7 @@ from renet.deploy.recording.tick import (
     WISHES,
 )
 from renet.deploy.robots.base import VECTORS, RobotState
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.files import create
 from renet.interface import DEPTH_SHAPE
 

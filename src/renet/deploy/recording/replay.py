@@ -14,11 +14,10 @@ from renet.deploy.recording.tick import GOOD, NONE, WISHES
 from renet.deploy.robots.base import VECTORS, RobotState
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import EXHAUSTED, REFUSED
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.errors import RenetError
 from renet.interface import DEPTH_SHAPE
 from renet.pilot.inference import InlineInference
-from renet.pilot.reach import UNSEEN
 
 _UNREADABLE = np.full(DEPTH_SHAPE, np.nan, np.float32)
 """Image in place of one that was malformed, which the controller refuses, too."""
@@ -76,12 +75,9 @@ def _controller(run: Recording, bundle: Bundle) -> tuple[Controller, ScriptedInf
     try:
         safety = SafetyCfg(**run.header["safety"])
         mode = run.header["mode"]
+        unseen = run.header["unseen"]
     except (KeyError, TypeError) as error:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
-    # Earlier recordings do not hold it: their robots could only walk on.
-    unseen = run.header.get("unseen", "walk")
-    if unseen not in UNSEEN:
-        raise RenetError(f"the recording's header has unseen {unseen!r}: {', '.join(UNSEEN)}")
     controller = Controller(bundle, safety, lambda sessions: inference, mode, unseen=unseen)
     return controller, inference
 

@@ -12,7 +12,7 @@ import numpy as np
 from renet.deploy.controller import Decision
 from renet.deploy.robots.base import VECTORS
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.interface import ACTION_SIZE, LATENT
 
 NONE = 0

@@ -1,1 +1,1 @@
-"""Robots a controller can drive: `driver` is the interface, `sim`, `go1` and `go2` implement it."""
+"""Robots that a controller drives: `base` is the interface; `sim`, `go1` and `go2` implement it."""

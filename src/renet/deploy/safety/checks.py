@@ -8,7 +8,7 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.cameras.base import DepthFrame
 from renet.deploy.robots.base import VECTORS, RobotState, all_finite, projected_gravity
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.errors import RenetError
 
 EMPTY = 0.05

@@ -7,7 +7,7 @@ import numpy as np
 
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand, RobotState, all_finite
-from renet.deploy.teleop import TeleopCommand, Velocity
+from renet.deploy.teleop.base import TeleopCommand, Velocity
 from renet.errors import RenetError
 from renet.interface import (
     CONTROL_DT,

@@ -17,7 +17,7 @@ import numpy as np
 from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import JointCommand
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
 from renet.interface import ACTION_SIZE, CONTROL_DT
 
 REFUSED = "the robot takes no commands"

@@ -4,7 +4,7 @@ from renet.bundle.manifest import RobotSpec
 from renet.deploy.robots.base import RobotState
 from renet.deploy.safety.checks import clean_state, state_problem
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.plausibility import (
+from renet.deploy.watch.plausibility import (
     MAX_INTERVAL,
     Disagreement,
     break_problem,

@@ -14,12 +14,12 @@ from renet.bundle import Bundle
 from renet.deploy import catalogue
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.controller import Controller
+from renet.deploy.joint_display import JointDisplay
 from renet.deploy.main import deploy
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.robots.base import RobotState
 from renet.deploy.robots.go1 import link
 from renet.deploy.robots.go1.driver import go1_robot
-from renet.deploy.robots.joint_watch import JointWatch
 from renet.deploy.robots.real.identity import RESTARTED
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import Mode
@@ -163,7 +163,7 @@ def dry_run(served, monkeypatch, tmp_path) -> partial[DeployCfg]:
     robot = partial(go1_robot, port=served.port, local_port=free_port())
     monkeypatch.setattr(catalogue, "go1_robot", robot)
     address = catalogue.Go1Cfg(robot_host="127.0.0.1")
-    fixed = {"robot": "go1", "driver": address, "camera": "none", "dry_run": True}
+    fixed = {"robot": "go1", "robot_cfg": address, "camera": "none", "dry_run": True}
     return partial(DeployCfg, **fixed, out=tmp_path)
 
 
@@ -171,15 +171,15 @@ def test_a_dry_run_tells_what_moves(served, dry_run, tmp_path, capsys, monkeypat
     """The joint-order check of docs/deploy.md, on a limp robot whose knee somebody straightens."""
     served.robot.model.opt.gravity[2] = -0.01  # Something must always move: a sensor trembles.
     knee = served.data.joint("FR_calf_joint")
-    look = JointWatch.look
+    step = JointDisplay.step
 
-    def look_and_straighten(watch: JointWatch, state: RobotState | None) -> None:
-        look(watch, state)
+    def step_and_straighten(display: JointDisplay, state: RobotState | None) -> None:
+        step(display, state)
         # What was seen first is what turns are told from, however busy the computer is.
         if state is not None:
             knee.qfrc_applied[:] = 5.0
 
-    monkeypatch.setattr(JointWatch, "look", look_and_straighten)
+    monkeypatch.setattr(JointDisplay, "step", step_and_straighten)
     # How far it straightens, and how late, is of no interest to a dry run.
     patient = SafetyCfg(max_gap=9.0, max_state_age=9.0, max_late=999, joint_margin=9.0)
     deploy(dry_run(seconds=3.5, safety=patient))

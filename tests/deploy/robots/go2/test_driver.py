@@ -16,15 +16,15 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from renet import cli
 from renet.deploy.catalogue import Go2Cfg, Ros2Cfg, SimulationCfg
 from renet.deploy.cfg import DeployCfg
+from renet.deploy.dds import requirements
 from renet.deploy.main import deploy
 from renet.deploy.recording.reader import read_recording
-from renet.deploy.robots.go2 import driver
 from renet.deploy.robots.go2.driver import go2_robot
 from renet.deploy.safety.limits import SafetyCfg
 from renet.errors import RenetError
 
+from ...dds.domain import free_domain
 from ...fakes import until
-from ..dds import free_domain
 
 pytestmark = pytest.mark.wall_clock
 
@@ -81,7 +81,7 @@ def test_a_keyboard_lets_a_robot_stand_up_and_end_braked(served, keyboard, tmp_p
 def test_a_dry_run_reads_the_robot_and_leaves_its_own_mode_alone(served, go2_bundle, tmp_path):
     device = Go2Cfg("lo", free_domain())
     cfg = DeployCfg(
-        go2_bundle, "go2", driver=device, camera="none", dry_run=True, out=tmp_path, seconds=0.5
+        go2_bundle, "go2", robot_cfg=device, camera="none", dry_run=True, out=tmp_path, seconds=0.5
     )
     deploy(cfg)
     assert served.mode == "normal"
@@ -93,7 +93,7 @@ def test_a_dry_run_reads_the_robot_and_leaves_its_own_mode_alone(served, go2_bun
 def test_a_go2_bundle_walks_in_simulation_on_its_own_body(go2_bundle, tmp_path):
     """The joints' targets are its own default pose, and its trunk is as high as a Go2's."""
     scene = SimulationCfg(terrain="stairs")
-    cfg = DeployCfg(go2_bundle, driver=scene, out=tmp_path, seconds=2.0, fault=("blackout@1s",))
+    cfg = DeployCfg(go2_bundle, robot_cfg=scene, out=tmp_path, seconds=2.0, fault=("blackout@1s",))
     deploy(cfg)
     ticks = read_recording(tmp_path / "recording.mcap").ticks
     np.testing.assert_allclose(ticks["position"][95][2::3], -1.8, atol=0.01)
@@ -116,7 +116,7 @@ def test_a_wrong_interface_is_one_line(go2_bundle, tmp_path, capsys, changes, wh
 
 def test_a_bundle_of_another_robot_is_refused(bundle_path):
     with pytest.raises(RenetError, match="drives a Unitree Go1, --robot go2 is a Unitree Go2"):
-        deploy(DeployCfg(bundle_path, "go2", driver=Go2Cfg("lo"), camera="none", dry_run=True))
+        deploy(DeployCfg(bundle_path, "go2", robot_cfg=Go2Cfg("lo"), camera="none", dry_run=True))
 
 
 def test_a_robot_that_keeps_its_mode_is_refused_before_anything_is_commanded(served):
@@ -128,7 +128,7 @@ def test_a_robot_that_keeps_its_mode_is_refused_before_anything_is_commanded(ser
 
 
 def test_without_cyclone_dds_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(driver, "find_spec", lambda name: None)
+    monkeypatch.setattr(requirements, "find_spec", lambda name: None)
     with pytest.raises(RenetError, match=r"pip install .* -e '\.\[go2\]'"):
         go2_robot("lo")
     with pytest.raises(RenetError, match=r"^--teleop ros2 needs Cyclone DDS: "):

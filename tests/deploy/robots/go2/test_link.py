@@ -12,8 +12,8 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from cyclonedds.core import DDSException
 from scipy.spatial.transform import Rotation
 
+from renet.deploy.dds.network import Network
 from renet.deploy.robots.go2.fake import SPORT, FakeGo2
-from renet.deploy.robots.go2.integrity import MOST_DAMAGED
 from renet.deploy.robots.go2.link import (
     COMMAND_TOPIC,
     HOLD_STIFFNESS,
@@ -24,15 +24,14 @@ from renet.deploy.robots.go2.link import (
     SEVERAL,
     reading,
 )
-from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
-from renet.deploy.robots.go2.network import Network
+from renet.deploy.robots.go2.messages import MOST_DAMAGED, LowCmd, LowState, crc
 from renet.deploy.robots.go2.switch import CHECK_EVERY, SELECT_MODE, MotionSwitcher
 from renet.deploy.robots.real.braking import PERIOD
 from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED
 from renet.interface import JOINTS
 
+from ...dds.domain import free_domain
 from ...fakes import command
-from ..dds import free_domain
 from ..peer import VENDOR
 
 

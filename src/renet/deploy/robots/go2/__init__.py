@@ -1,1 +1,1 @@
-"""The Unitree Go2 over DDS: messages, network, mode switch, link, driver, and a simulated one."""
+"""The Unitree Go2 over DDS: messages, mode switch, link, driver, and a simulated one."""

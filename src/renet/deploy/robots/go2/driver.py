@@ -1,18 +1,8 @@
 """The driver of the Unitree Go2."""
 
-from importlib.util import find_spec
-
+from renet.deploy.dds.requirements import demand_dds
 from renet.deploy.robots.real.driver import RealRobot
-from renet.errors import RenetError, install
 from renet.robots import GO2
-
-
-def demand_dds(user: str) -> None:
-    """Raise RenetError, which names the `user` of Cyclone DDS, unless it is installed."""
-    if find_spec("cyclonedds") is None:
-        raise RenetError(
-            f"{user} needs Cyclone DDS: {install('go2')} (docs/deploy.md says what to do on ARM)"
-        )
 
 
 def go2_robot(

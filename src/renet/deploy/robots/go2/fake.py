@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from cyclonedds.core import DDSException
 
+from renet.deploy.dds.network import Network
 from renet.deploy.robots.base import heading, projected_gravity
 from renet.deploy.robots.go2.link import (
     COMMAND_TOPIC,
@@ -25,7 +26,6 @@ from renet.deploy.robots.go2.link import (
     STATE_TOPIC,
 )
 from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
-from renet.deploy.robots.go2.network import Network
 from renet.deploy.robots.go2.switch import (
     CHECK_MODE,
     RELEASE_MODE,

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from cyclonedds.core import DDSException
 
+from renet.deploy.dds.network import Network
 from renet.deploy.robots.base import JointCommand, RobotState
 from renet.deploy.robots.envelope import clamp
-from renet.deploy.robots.go2.integrity import Integrity
-from renet.deploy.robots.go2.messages import LowCmd, LowState, crc
-from renet.deploy.robots.go2.network import Network
+from renet.deploy.robots.go2.messages import Integrity, LowCmd, LowState, crc
 from renet.deploy.robots.go2.switch import MotionSwitcher
 from renet.deploy.robots.real.braking import BRAKE, Link
 from renet.deploy.robots.real.identity import IN_A_ROW, RESTARTED, Speakers

@@ -1,157 +1,45 @@
-"""DDS messages of the Go2: one table of fields gives DDS type, memory layout and CRC.
+"""Messages of the Go2: their fields, their checksum, and whether it can be believed.
 
-Fields, their order and the CRC are those of unitree_sdk2 (BSD-3). The robot runs Cyclone DDS
-0.10.2, which crashes on type information as newer versions make it: `types.json` holds what
-0.10.2 itself announces of each type. That of `TwistStamped_` is made by 11.0.1, whose `Twist_` is
-0.10.2's to the byte: the two versions differ in numbers of eight bits, which neither has.
+Fields, their order and the CRC are those of unitree_sdk2 (BSD-3).
 """
 
-import base64
-import hashlib
-import json
 import zlib
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cyclonedds.idl import make_idl_struct, types
 
-from renet.errors import RenetError
+from renet.deploy.dds.messages import message_type, parse_fields
 
-IDL = {"u1": types.uint8, "<u2": types.uint16, "<u4": types.uint32}
-IDL |= {"<i2": types.int16, "<i4": types.int32, "<f4": types.float32, "<f8": types.float64}
 MODULE = "unitree_go.msg.dds_"
-TYPES_FILE = Path(__file__).with_name("types.json")
-"""By type, TypeInformation and TypeMapping (XTypes 1.3), zlib and base64."""
-TYPES_SHA256 = "1218d16d00de7d36ffa4eb66a308ac2495f8313d16a45489db4b227b34a5bf95"
-
-Fields = tuple[tuple[str, Any, int], ...]
-"""Name, type (of NumPy, or name and fields of a struct) and count of each field."""
-
-
-def _fields(text: str, **structs: Fields) -> Fields:
-    """Parse fields from their types, names and counts, as C writes them; types may be `structs`."""
-    fields = []
-    for kind, name, *count in map(str.split, text.replace("[", " ").replace("]", "").split(",")):
-        part = (kind, structs[kind]) if kind in structs else np.dtype(f"<{kind}").str.lstrip("|")
-        fields.append((name, part, int(*count or (1,))))
-    return tuple(fields)
-
-
 HEAD = "u1 head[2], u1 level_flag, u1 frame_reserve, u4 sn[2], u4 version[2], u2 bandwidth, "
-LOW_CMD = _fields(
+LOW_CMD = parse_fields(
     HEAD + "MotorCmd_ motor_cmd[20], BmsCmd_ bms_cmd, u1 wireless_remote[40], u1 led[12],"
     "u1 fan[2], u1 gpio, u4 reserve, u4 crc",
-    MotorCmd_=_fields("u1 mode, f4 q, f4 dq, f4 tau, f4 kp, f4 kd, u4 reserve[3]"),
-    BmsCmd_=_fields("u1 off, u1 reserve[3]"),
+    MotorCmd_=parse_fields("u1 mode, f4 q, f4 dq, f4 tau, f4 kp, f4 kd, u4 reserve[3]"),
+    BmsCmd_=parse_fields("u1 off, u1 reserve[3]"),
 )
-LOW_STATE = _fields(
+LOW_STATE = parse_fields(
     HEAD + "IMUState_ imu_state, MotorState_ motor_state[20], BmsState_ bms_state,"
     "i2 foot_force[4], i2 foot_force_est[4], u4 tick, u1 wireless_remote[40], u1 bit_flag,"
     "f4 adc_reel, u1 temperature_ntc1, u1 temperature_ntc2, f4 power_v, f4 power_a,"
     "u2 fan_frequency[4], u4 reserve, u4 crc",
-    IMUState_=_fields(
+    IMUState_=parse_fields(
         "f4 quaternion[4], f4 gyroscope[3], f4 accelerometer[3], f4 rpy[3], u1 temperature"
     ),
-    MotorState_=_fields(
+    MotorState_=parse_fields(
         "u1 mode, f4 q, f4 dq, f4 ddq, f4 tau_est, f4 q_raw, f4 dq_raw, f4 ddq_raw,"
         "u1 temperature, u4 lost, u4 reserve[2]"
     ),
-    BmsState_=_fields(
+    BmsState_=parse_fields(
         "u1 version_high, u1 version_low, u1 status, u1 soc, i4 current, u2 cycle, u1 bq_ntc[2],"
         "u1 mcu_ntc[2], u2 cell_vol[15]"
     ),
 )
-TWIST = _fields("Vector3_ linear, Vector3_ angular", Vector3_=_fields("f8 x, f8 y, f8 z"))
-"""ROS 2's geometry_msgs/msg/Twist, which the operator's topic carries (`renet.deploy.ros2`)."""
-CDR = b"\0\1\0\0"
-"""Header of a payload: plain CDR, little-endian."""
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
-
-
-def memory_layout(fields: Fields) -> np.dtype:
-    """Return the C struct of a message, over which its CRC is computed."""
-    entries = []
-    for name, kind, count in fields:
-        part = np.dtype(kind) if isinstance(kind, str) else memory_layout(kind[1])
-        entries.append((name, part, (count,)) if count > 1 else (name, part))
-    return np.dtype(entries, align=True)
-
-
-def _numbers(layout: np.dtype, start: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield offset, size and count of the numbers of a C struct, in order."""
-    for name in layout.names or ():
-        part, offset = layout.fields[name][:2]  # type: ignore[index]
-        element, shape = part.subdtype or (part, (1,))
-        at = start + offset
-        if element.names is None:
-            yield at, element.itemsize, shape[0]
-            continue
-        for n in range(shape[0]):
-            yield from _numbers(element, at + n * element.itemsize)
-
-
-def payload_order(layout: np.dtype) -> np.ndarray:
-    """Return, for each byte of a message's CDR payload, its byte in the C struct; -1 is padding.
-
-    CDR aligns every number to its size, from the payload's start, and ends structs unpadded.
-    """
-    order: list[int] = []
-    for offset, size, count in _numbers(layout):
-        order += [-1] * (-len(order) % size)
-        order += range(offset, offset + size * count)
-    return np.array(order)
-
-
-def _idl(name: str, fields: Fields, module: str = MODULE) -> type:
-    members = {}
-    for field, kind, count in fields:
-        part: Any = IDL[kind] if isinstance(kind, str) else _idl(kind[0], kind[1], module)
-        members[field] = types.array[part, count] if count > 1 else part
-    return make_idl_struct(name, f"{module}.{name}", members)
-
-
-def message_type(name: str, fields: Fields, module: str = MODULE) -> Any:
-    """Make a DDS type whose samples are C structs.
-
-    A sample has `values`, a record with the table's fields, and `raw`, the same memory as bytes.
-    Both are None if the payload was none of this type. A new sample is all zeros. Samples are
-    serialised by one gather, because the library's own way costs a fifth of a 2 ms period.
-    """
-    layout = memory_layout(fields)
-    order = payload_order(layout)
-    size = len(order)
-    (places,) = np.nonzero(order >= 0)
-    bytes_ = order[places]
-    base = _idl(name, fields, module)
-
-    def initialize(self: Any) -> None:
-        self.raw = np.zeros(layout.itemsize, np.uint8)
-        self.values = self.raw.view(layout)[0]
-
-    def serialize(self: Any, *arguments: Any, **options: Any) -> bytes:
-        payload = np.zeros(size, np.uint8)
-        payload[places] = self.raw[bytes_]
-        return CDR + payload.tobytes()
-
-    def deserialize(data: bytes, *arguments: Any, **options: Any) -> Any:
-        sample = base()
-        # Another encoding, or a payload that was cut.
-        if data[:2] != CDR[:2] or len(data) < len(CDR) + size:
-            sample.raw = sample.values = None
-            return sample
-        sample.raw[bytes_] = np.frombuffer(data, np.uint8, size, len(CDR))[places]
-        return sample
-
-    def deserialize_key(*arguments: Any, **options: Any) -> None:
-        """No type here has a key; the library asks for it when a writer leaves."""
-
-    base.__init__ = initialize
-    base.serialize = serialize
-    base.deserialize = staticmethod(deserialize)
-    base.deserialize_key = staticmethod(deserialize_key)
-    return base
+_ENOUGH = 10
+"""Number of messages that decide if a robot's checksums are right at all."""
+MOST_DAMAGED = 50
+"""Number of damaged messages in a row, 0.1 s, after which a robot is given up."""
 
 
 def crc(raw: np.ndarray) -> int:
@@ -165,21 +53,39 @@ def crc(raw: np.ndarray) -> int:
     return int(f"{value:032b}"[::-1], 2)
 
 
-def read_types(path: Path = TYPES_FILE) -> dict[str, tuple[bytes, bytes]]:
-    """Read the type information and mapping to announce, by type; raises RenetError if damaged."""
-    content = path.read_bytes()
-    if hashlib.sha256(content).hexdigest() != TYPES_SHA256:
-        raise RenetError(f"{path} is damaged: install renet again")
-    found = {}
-    for name, (information, mapping) in json.loads(content).items():
-        found[name] = (
-            zlib.decompress(base64.b64decode(information)),
-            zlib.decompress(base64.b64decode(mapping)),
-        )
-    return found
-
-
-LowCmd = message_type("LowCmd_", LOW_CMD)
+LowCmd = message_type("LowCmd_", LOW_CMD, MODULE)
 """Message to the robot: a target for each of 20 motors, of which 0 to 11 are the legs'."""
-LowState = message_type("LowState_", LOW_STATE)
+LowState = message_type("LowState_", LOW_STATE, MODULE)
 """Message from the robot, at 500 Hz."""
+
+
+class Integrity:
+    """Checks the CRC of messages, if the robot's are right at all.
+
+    The vendor's own programs do not look at it, and it is not known if every firmware writes it
+    right. So the first messages, which move no motor, decide.
+    """
+
+    def __init__(self) -> None:
+        self._right = self._seen = self._damaged = 0
+        self._checks: bool | None = None
+        self.problem = ""
+        """Reason for which the robot cannot be understood; empty while it can."""
+
+    def intact(self, sample: Any) -> bool:
+        """Return True if a message may be believed."""
+        if self._checks is False:
+            return True
+        right = int(sample.values["crc"]) == crc(sample.raw)
+        if self._checks is None:
+            self._seen += 1
+            self._right += right
+            return True
+        self._damaged = 0 if right else self._damaged + 1
+        if self._damaged > MOST_DAMAGED:
+            self.problem = "the robot's messages arrive damaged: check cable and network card"
+        return right
+
+    def settle(self) -> None:
+        """Decide by the messages so far if the next ones are checked."""
+        self._checks = self._seen >= _ENOUGH and self._right >= 0.9 * self._seen

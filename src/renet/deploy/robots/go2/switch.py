@@ -14,7 +14,7 @@ from typing import Any
 from cyclonedds.core import DDSException
 from cyclonedds.idl import make_idl_struct, types
 
-from renet.deploy.robots.go2.network import Network
+from renet.deploy.dds.network import Network
 from renet.deploy.robots.real.identity import Speakers
 
 REQUESTS = "rt/api/motion_switcher/request"

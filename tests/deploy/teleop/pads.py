@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from renet.deploy import gamepad
+from renet.deploy.teleop import gamepad
 
 CODES = {
     **{"ABS_X": 0, "ABS_Y": 1, "ABS_Z": 2, "ABS_RX": 3, "ABS_RY": 4, "ABS_RZ": 5},

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 from cyclonedds.idl import make_idl_struct, types
 
-from renet.deploy.robots.go2.messages import CDR, TWIST, message_type
-from renet.deploy.robots.go2.network import Network
-from renet.deploy.teleop import Teleop, TeleopCommand, Velocity
+from renet.deploy.cdr import ENCAPSULATION
+from renet.deploy.dds.messages import message_type, parse_fields
+from renet.deploy.dds.network import Network
+from renet.deploy.teleop.base import Teleop, TeleopCommand, Velocity
 from renet.errors import RenetError
 
+TWIST = parse_fields("Vector3_ linear, Vector3_ angular", Vector3_=parse_fields("f8 x, f8 y, f8 z"))
 Twist = message_type("Twist_", TWIST, "geometry_msgs.msg.dds_")
 """Velocity: linear in m/s, angular in rad/s, x ahead, y left, z up."""
 Time = make_idl_struct(
@@ -47,13 +49,13 @@ def _twist_of(data: bytes, *arguments: Any, **options: Any) -> Any:
 
     Its `values` are None if the payload is of another type or encoding, as those of `Twist`.
     """
-    body = data[len(CDR) :]
+    body = data[len(ENCAPSULATION) :]
     # After the time come the size of the frame's name and the name; numbers of eight bytes begin
     # at multiples of eight.
     name = STAMP_SIZE + 4
     end = name + int.from_bytes(body[STAMP_SIZE:name], "little")
     start = end + -end % 8
-    return Twist.deserialize(data[: len(CDR)] + body[start:])
+    return Twist.deserialize(data[: len(ENCAPSULATION)] + body[start:])
 
 
 TwistStamped.deserialize = staticmethod(_twist_of)

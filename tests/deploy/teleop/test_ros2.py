@@ -19,13 +19,13 @@ from renet.deploy.catalogue import Ros2Cfg
 from renet.deploy.recording.reader import read_recording
 from renet.deploy.recording.tick import MODES
 from renet.deploy.robots.base import heading
-from renet.deploy.ros2 import TOPIC, Ros2Teleop, TwistStamped, domain_of
 from renet.deploy.safety.machine import Mode
-from renet.deploy.teleop import TeleopCommand
+from renet.deploy.teleop.base import TeleopCommand
+from renet.deploy.teleop.ros2 import TOPIC, Ros2Teleop, TwistStamped, domain_of
 from renet.errors import RenetError
 
-from .fakes import until
-from .robots.dds import free_domain
+from ..dds.domain import free_domain
+from ..fakes import until
 
 pytestmark = pytest.mark.wall_clock
 

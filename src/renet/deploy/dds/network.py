@@ -3,7 +3,6 @@
 The card of a Go2 is always named. That of ROS 2 may be left to Cyclone DDS, as ROS 2 itself does.
 """
 
-import socket
 import time
 from functools import cache
 from importlib.metadata import version
@@ -16,7 +15,8 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from renet.deploy.robots.go2.messages import read_types
+from renet.deploy.dds.messages import read_types
+from renet.deploy.dds.requirements import demand_card
 from renet.errors import RenetError
 
 CYCLONEDDS = "11.0.1"
@@ -58,9 +58,8 @@ class Network:
                 f"the Go2 and ROS 2 need cyclonedds {CYCLONEDDS}, this is {version('cyclonedds')}: "
                 "other versions may crash the programs that they talk to"
             )
-        names = [name for _, name in socket.if_nameindex()]
-        if interface and interface not in names:
-            raise RenetError(f"no network interface {interface!r} here, only {', '.join(names)}")
+        if interface:
+            demand_card(interface)
         self._types = read_types()
         try:
             if interface:

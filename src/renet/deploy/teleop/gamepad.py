@@ -1,4 +1,4 @@
-"""Gamepads through Linux' joystick interface, with the kernel's names of sticks and buttons.
+"""Gamepads as operators' devices, through Linux' joystick interface.
 
 Every pad numbers its buttons in its own order: number 7 is Start on an Xbox pad and a trigger on a
 PlayStation pad. So the driver is asked which stick or button of `linux/input-event-codes.h` each
@@ -14,12 +14,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from glob import glob
 
+from renet.deploy.teleop.base import MAX_INPUT, Deadman, TeleopCommand
 from renet.errors import RenetError, printable
+from renet.interface import MAX_REVERSE, MAX_SIDEWAYS, MAX_SPEED, MAX_TURN
 
 DEVICES = "/dev/input/js*"
 """Pattern of the pads' device files."""
-STICK_NAMES = {0x00: "ABS_X", 0x01: "ABS_Y", 0x03: "ABS_RX", 0x04: "ABS_RY"}
-"""Names of the sticks by their codes."""
+STICK_NAMES = {0x00: "ABS_X", 0x01: "ABS_Y", 0x03: "ABS_RX"}
+"""Names of the sticks in use by their codes."""
 BUTTON_NAMES = {0x130: "BTN_SOUTH", 0x131: "BTN_EAST", 0x13B: "BTN_START"}
 """Names of the buttons in use by their codes."""
 EVENT = struct.Struct("<IhBB")
@@ -29,8 +31,9 @@ _AXIS = 0x02
 _REPEATED = 0x80
 _FULL = 32767.0
 """A stick's value at its end; the kernel scales all pads to it."""
-MAX_INPUT = 4096
-"""Most bytes of keys or events read in one control step; the rest waits for the next."""
+DEAD_ZONE = 0.1
+"""Share of its range by which a stick must be off its middle to steer, and by which it must move to
+show that somebody holds it. Noise is smaller."""
 # Codes of buttons, number of codes of sticks, and bytes of a name, as the kernel has them.
 _FIRST_BUTTON = 0x100
 _LAST_BUTTON = 0x2FF
@@ -133,3 +136,78 @@ class Gamepad:
         answer = array.array(kind, bytes(size))
         fcntl.ioctl(self._device, request, answer, True)
         return answer
+
+
+class GamepadTeleop:
+    """Reads a gamepad whose sticks and buttons the kernel names."""
+
+    _OTHERS = (
+        "right stick turns, Start or Options stands up and walks, A, B, cross or circle brakes"
+    )
+    controls = f"left stick forward/backward and sideways, {_OTHERS}"
+    controls_ahead = f"left stick ahead, {_OTHERS}"
+    FORWARD = "ABS_Y"
+    LEFT = "ABS_X"
+    TURN = "ABS_RX"
+    ARM_BUTTONS = ("BTN_START",)
+    STOP_BUTTONS = ("BTN_SOUTH", "BTN_EAST")
+    attended = True
+
+    def __init__(self, deadman: float) -> None:
+        """Open the first gamepad that can steer; raises RenetError if there is none.
+
+        The robot stands after `deadman` seconds without a move of stick or button.
+        """
+        sticks = (self.FORWARD, self.LEFT, self.TURN)
+        self._pad = Gamepad.find((*sticks, *self.ARM_BUTTONS, *self.STOP_BUTTONS))
+        self._sticks: dict[str, float] = {name: 0.0 for name in sticks}
+        self._held = dict(self._sticks)
+        self._deadman = Deadman(deadman)
+
+    def command(self, now: float) -> TeleopCommand:
+        """Return the command of sticks and buttons; an unplugged gamepad stops the robot."""
+        arm = stop = heard = False
+        try:
+            for event in self._pad.events():
+                # After an overflow of its queue, the kernel repeats all states without a hand.
+                by_hand = not event.repeated
+                if event.name in self._sticks:
+                    heard |= self._moved(event.name, event.value) and by_hand
+                elif not event.axis:
+                    heard |= by_hand
+                    pressed = event.value > 0.0
+                    arm |= pressed and by_hand and event.name in self.ARM_BUTTONS
+                    stop |= pressed and event.name in self.STOP_BUTTONS
+        except OSError:
+            stop = True
+        authority = self._deadman.authority(heard, now)
+        # The kernel counts sticks positive to the right and towards the operator.
+        ahead = -self._stick(self.FORWARD)
+        return TeleopCommand(
+            forward=authority * ahead * (MAX_SPEED if ahead > 0.0 else MAX_REVERSE),
+            left=authority * -self._stick(self.LEFT) * MAX_SIDEWAYS,
+            turn_rate=authority * -self._stick(self.TURN) * MAX_TURN,
+            arm=arm,
+            stop=stop,
+        )
+
+    def drain(self, now: float) -> None:
+        """Forget the buttons that were pressed, and learn where the sticks are."""
+        self.command(now)
+
+    def close(self) -> None:
+        """Close the device."""
+        self._pad.close()
+
+    def _moved(self, name: str, value: float) -> bool:
+        """Note where a stick is; returns True if it moved since the last time that it did."""
+        self._sticks[name] = value
+        moved = abs(value - self._held[name]) >= DEAD_ZONE
+        if moved:
+            self._held[name] = value
+        return moved
+
+    def _stick(self, name: str) -> float:
+        """Return the position of a stick, -1 to 1, with a dead zone."""
+        value = self._sticks[name]
+        return value if abs(value) > DEAD_ZONE else 0.0

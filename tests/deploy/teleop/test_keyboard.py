@@ -1,4 +1,4 @@
-"""Keys through a real pseudo-terminal, a gamepad's events through a pipe."""
+"""Keys through a real pseudo-terminal."""
 
 import io
 import math
@@ -9,18 +9,9 @@ import termios
 
 import pytest
 
-from renet.deploy.teleop import (
-    ARM_KEY,
-    KEYS,
-    STAND_KEY,
-    Deadman,
-    GamepadTeleop,
-    KeyboardTeleop,
-    TeleopCommand,
-)
+from renet.deploy.teleop.base import Deadman, TeleopCommand
+from renet.deploy.teleop.keyboard import ARM_KEY, KEYS, STAND_KEY, KeyboardTeleop
 from renet.errors import RenetError
-
-from .pads import XBOX, Pad, plugged
 
 
 @pytest.fixture
@@ -128,87 +119,7 @@ def test_a_program_without_a_terminal_is_told(monkeypatch):
             KeyboardTeleop(math.inf)
 
 
-@pytest.fixture
-def pad(tmp_path, monkeypatch) -> Pad:
-    return plugged(tmp_path, monkeypatch, XBOX)
-
-
-@pytest.fixture
-def stick(pad) -> GamepadTeleop:
-    """An operator with a gamepad."""
-    return GamepadTeleop(math.inf)
-
-
-def test_sticks_and_buttons(stick, pad):
-    pad.press("BTN_START")
-    assert stick.command(0.0) == TeleopCommand(arm=True)
-    pad.move("ABS_Y", -32767)
-    pad.move("ABS_X", 16384)
-    pad.move("ABS_RX", -16384)
-    ahead = stick.command(0.1)
-    assert (ahead.forward, ahead.left) == (1.0, pytest.approx(-0.25, abs=1e-4))
-    assert ahead.turn_rate == pytest.approx(0.5, abs=1e-4)
-    pad.move("ABS_Y", 32767)
-    pad.move("ABS_X", -1000)
-    pad.move("ABS_RX", 1000)
-    assert stick.command(0.2) == TeleopCommand(forward=-0.6), "small deflections are none"
-    pad.move("ABS_RY", 32767)
-    pad.press("BTN_TL")
-    assert stick.command(0.3) == TeleopCommand(forward=-0.6), "nor are other sticks and buttons"
-    for button in ("BTN_SOUTH", "BTN_EAST"):
-        pad.press(button)
-        assert stick.command(0.4).stop
-        assert not stick.command(0.5).stop
-
-
-def test_a_pad_out_of_range_stands(stick, pad):
-    stick._deadman = Deadman(0.5)
-    pad.move("ABS_Y", -32767)
-    pad.move("ABS_RX", -32767)
-    assert stick.command(0.0).forward == stick.command(0.5).forward == 1.0
-    half = stick.command(1.0)
-    assert (half.forward, half.turn_rate) == (pytest.approx(0.5), pytest.approx(0.5))
-    assert stick.command(2.0) == TeleopCommand()
-    pad.move("ABS_Y", -29000)
-    assert stick.command(3.1).forward == pytest.approx(0.885, abs=1e-3)
-
-
-def test_an_unplugged_pad_stops(stick, pad):
-    assert not stick.command(0.0).stop
-    pad.unplug()
-    assert stick.command(0.1).stop
-
-
-@pytest.mark.parametrize("amplitude", [1, 655, 1300])
-def test_a_stick_that_only_trembles_is_nobody(stick, pad, amplitude):
-    """Nor is a trigger that moves, or a kernel that repeats where everything is."""
-    stick._deadman = Deadman(5.0)
-    pad.move("ABS_Y", -16000)
-    assert stick.command(0.0).forward > 0.4
-    for step in range(1, 60 * 50):
-        pad.move("ABS_Y", -16000 + amplitude * (1 if step % 2 else -1))
-        pad.move("ABS_RZ", 32767 * (step % 2))
-        pad.press("BTN_WEST", step % 2, repeated=True)
-        command = stick.command(0.02 * step)
-    assert command.forward == 0.0
-    pad.move("ABS_Y", -21000)
-    assert stick.command(60.0).forward > 0.6
-
-
-def test_a_stop_that_the_kernel_repeats_stops_and_a_start_does_not_arm(stick, pad):
-    """What was pressed while its queue ran over comes as an initial event."""
-    pad.press("BTN_START", repeated=True)
-    assert not stick.command(0.0).arm
-    pad.press("BTN_SOUTH", repeated=True)
-    assert stick.command(0.02).stop
-
-
-def test_what_came_before_a_run_is_forgotten(stick, pad, keyboard, terminal):
-    """Not where the sticks are."""
-    pad.press("BTN_START")
-    pad.move("ABS_Y", -32767)
+def test_keys_before_a_run_are_forgotten(keyboard, terminal):
     os.write(terminal, b"r")
-    stick.drain(0.0)
     keyboard.drain(0.0)
-    assert stick.command(0.0) == TeleopCommand(forward=1.0)
     assert keyboard.command(0.0) == TeleopCommand()

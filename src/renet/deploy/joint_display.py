@@ -20,7 +20,7 @@ _LEANS = ((0, "nose", "tail"), (1, "left side", "right side"))
 """Axis of the base, and its end that is down when gravity points along and against the axis."""
 
 
-class JointWatch:
+class JointDisplay:
     """Compares readings with those before; meant for a limp robot moved by hand."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -29,7 +29,7 @@ class JointWatch:
         self._from: np.ndarray | None = None
         self._leaning = ""
 
-    def look(self, state: RobotState | None) -> None:
+    def step(self, state: RobotState | None) -> None:
         """Report the joints and the lean that changed since they were last reported."""
         if state is None:
             return

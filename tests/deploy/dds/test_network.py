@@ -10,12 +10,13 @@ pytest.importorskip("cyclonedds", reason="needs renet-locomotion[go2]")
 from cyclonedds.idl._main import IDL
 from cyclonedds.idl._xt_builder import XTBuilder
 
-from renet.deploy.robots.go2 import network
-from renet.deploy.robots.go2.messages import LOW_CMD, message_type
-from renet.deploy.robots.go2.network import Network
+from renet.deploy.dds import network
+from renet.deploy.dds.messages import message_type
+from renet.deploy.dds.network import Network
+from renet.deploy.robots.go2.messages import LOW_CMD, MODULE
 from renet.errors import RenetError
 
-from ..dds import free_domain
+from .domain import free_domain
 
 pytestmark = pytest.mark.wall_clock
 
@@ -31,7 +32,7 @@ grep card: /proc/net/dev
 """
 SPEAK = """
 import sys, time
-from renet.deploy.robots.go2 import network
+from renet.deploy.dds import network
 from renet.deploy.robots.go2.messages import LowCmd
 network.INTERFACE_CONFIG = sys.argv[1] or network.INTERFACE_CONFIG
 writer = network.Network("lo", int(sys.argv[2])).writer("rt/lowcmd", LowCmd)
@@ -61,10 +62,10 @@ def test_a_library_that_makes_its_own_type_information_after_all_is_refused(monk
         idl._xt_bytedata = tuple(part.serialize(use_version_2=True)[4:] for part in made)
 
     network = Network("lo", free_domain())
-    network.writer("rt/lowcmd", message_type("LowCmd_", LOW_CMD))
+    network.writer("rt/lowcmd", message_type("LowCmd_", LOW_CMD, MODULE))
     monkeypatch.setattr(IDL, "fill_type_data", fill)
     with pytest.raises(RenetError, match="announces LowCmd_ in a way that may crash robots"):
-        network.writer("rt/other", message_type("LowCmd_", LOW_CMD))
+        network.writer("rt/other", message_type("LowCmd_", LOW_CMD, MODULE))
 
 
 @pytest.mark.parametrize(("config", "silent"), [("", True), ("<CycloneDDS/>", False)])

@@ -4,34 +4,34 @@ import mujoco
 import numpy as np
 import pytest
 
-from renet.deploy.robots.joint_watch import TURN, WAYS, JointWatch
+from renet.deploy.joint_display import TURN, WAYS, JointDisplay
 from renet.interface import JOINTS
 
-from ..fakes import STANDING, robot_on, state, turned
+from .fakes import STANDING, robot_on, state, turned
 
 
 @pytest.fixture
 def watched():
-    """A watch that has seen the default pose, and what it said."""
+    """A display that has seen the default pose, and what it said."""
     said = []
-    watch = JointWatch(said.append)
-    watch.look(state())
-    return watch, said
+    display = JointDisplay(said.append)
+    display.step(state())
+    return display, said
 
 
 def test_each_joint_by_name_once_per_turn_and_nothing_before(watched):
-    watch, said = watched
+    display, said = watched
     for reading in (state(joint_position=STANDING + 0.9 * TURN), None, state()):
-        watch.look(reading)
+        display.step(reading)
         assert said == []
     for joint, name in enumerate(JOINTS):
         position = STANDING.copy()
         position[joint] -= 1.2 * TURN
         for _ in range(2):
-            watch.look(state(joint_position=position))
+            display.step(state(joint_position=position))
         assert len(said) == 1
         assert said.pop().startswith(f"{name.removesuffix('_joint')} -0.30 to ")
-        watch.look(state())
+        display.step(state())
         assert said.pop().startswith(f"{name.removesuffix('_joint')} +0.30 to ")
 
 
@@ -63,7 +63,7 @@ def test_the_words_are_what_the_model_does(name):
     [("nose", "y", 30), ("tail", "y", -30), ("left side", "x", -30), ("right side", "x", 30)],
 )
 def test_which_end_is_down(watched, end, axis, degrees):
-    watch, said = watched
+    display, said = watched
     for _ in range(2):
-        watch.look(state(quaternion=turned(axis, degrees)))
+        display.step(state(quaternion=turned(axis, degrees)))
     assert said == [f"the base leans: {end} down"]

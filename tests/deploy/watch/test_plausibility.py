@@ -12,17 +12,16 @@ from renet.deploy.controller import Controller
 from renet.deploy.loop import run_control_loop
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
-from renet.deploy.safety import plausibility
 from renet.deploy.safety.limits import SafetyCfg
-from renet.deploy.safety.plausibility import (
+from renet.deploy.teleop.base import TeleopCommand
+from renet.deploy.watch import freezing, plausibility
+from renet.deploy.watch.plausibility import (
     MAX_DRIFT,
     Disagreement,
     break_problem,
     comparable,
     rotation_vector,
 )
-from renet.deploy.teleop import TeleopCommand
-from renet.deploy.watch import freezing
 from renet.interface import CONTROL_DT
 
 from ..fakes import state

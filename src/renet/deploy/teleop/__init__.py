@@ -1,0 +1,1 @@
+"""Operators' devices: `base` defines their interface."""
