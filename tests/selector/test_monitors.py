@@ -1,6 +1,7 @@
 """Monitors by hand, and what the selector promises."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,7 +124,10 @@ def run(chosen: MonitorSelector, given: SelectorInput, start: float, end: float,
     return times, np.array([chosen.update(given, now).copy() for now in times])
 
 
-STALE = seen(age=np.array([0.0, 1.0]))
+HELD = np.zeros(2, bool)
+"""No image is new: what is tested is time, not the counting of images."""
+STALE = seen(age=np.array([0.0, 1.0]), fresh=HELD)
+GOOD = seen(fresh=HELD)
 
 
 def test_it_leaves_as_fast_as_the_papers_filter_and_says_why():
@@ -148,13 +152,13 @@ def test_delay_dwell_and_rest_are_seconds_at_any_rate_of_filter_and_caller(rate,
     """Within one period of the filter plus one of the caller, whoever is slower."""
     chosen, step = selector(rate_hz=rate), 1.0 / calls
     tolerance = 1.0 / rate + step + 1e-6
-    run(chosen, seen(), start, start + 1.0, step)
+    run(chosen, GOOD, start, start + 1.0, step)
     fault = start + 1.0
     times, visions = run(chosen, STALE, fault, fault + 3.0, step)
     left = times[(~visions[:, 1]).argmax()] - fault
     assert not visions[:, 1].all()
     assert abs(left - filter_delay(0.1, rate)) <= tolerance
-    times, visions = run(chosen, seen(), fault + 3.0, fault + 6.0, step)
+    times, visions = run(chosen, GOOD, fault + 3.0, fault + 6.0, step)
     # P must also come back above one half, which a slow filter takes longer for.
     back = times[visions[:, 1].argmax()] - (fault + 3.0)
     assert visions[:, 1].any()
@@ -163,7 +167,7 @@ def test_delay_dwell_and_rest_are_seconds_at_any_rate_of_filter_and_caller(rate,
     # The second fault: vision must not return within five seconds of the first return.
     returned = fault + 3.0 + back
     run(chosen, STALE, returned + step, returned + 1.5, step)
-    times, visions = run(chosen, seen(), returned + 1.5, returned + 8.0, step)
+    times, visions = run(chosen, GOOD, returned + 1.5, returned + 8.0, step)
     again = times[visions[:, 1].argmax()] - returned
     if not visions[0, 1]:
         assert 5.0 - 1e-6 <= again <= 5.0 + tolerance
@@ -191,7 +195,10 @@ def test_a_slow_filter_judges_at_its_own_times_but_sees_every_image():
 def test_a_flickering_camera_causes_at_most_one_return_in_five_seconds(pattern):
     chosen = selector()
     bad = np.concatenate([np.full(length, float(i % 2 == 0)) for i, length in enumerate(pattern)])
-    used = [chosen.update(seen(age=np.full(2, age)), i * STEP)[0] for i, age in enumerate(bad)]
+    used = []
+    for i, age in enumerate(bad):
+        given = replace(GOOD, age=np.full(2, age))
+        used.append(chosen.update(given, i * STEP)[0])
     returns = np.flatnonzero(np.diff(used, prepend=True) & used) * STEP
     assert (np.diff(returns) >= 5.0 - 1e-6).all()
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -177,12 +178,14 @@ def _frozen_patches(image: np.ndarray, equal: np.ndarray) -> np.ndarray:
         image: Images, [N, 48, 64] in [0, 1].
         equal: True for pixels that are equal to those of the image before, [N, 48, 64] bool.
     """
-    rows, columns = DEPTH_SHAPE
-    patches = (len(image), rows // PATCH, PATCH, columns // PATCH, PATCH)
-    depths = image.reshape(patches)
-    varied = depths.max(axis=(2, 4)) > depths.min(axis=(2, 4))
-    unchanged = equal.reshape(patches).all(axis=(2, 4))
-    return (varied & unchanged).sum(axis=(1, 2))
+    corner = image[:, ::PATCH, ::PATCH]
+    unchanged = np.ones(corner.shape, bool)
+    varied = np.zeros(corner.shape, bool)
+    # One pixel of all patches at a time, which is many times faster than reductions by patch.
+    for row, column in product(range(PATCH), repeat=2):
+        unchanged &= equal[:, row::PATCH, column::PATCH]
+        varied |= image[:, row::PATCH, column::PATCH] != corner
+    return (unchanged & varied).sum(axis=(1, 2))
 
 
 def _disagreement(seen: SelectorInput, images: Scorer) -> np.ndarray:
