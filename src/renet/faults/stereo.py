@@ -33,7 +33,7 @@ def disparity(image: np.ndarray, baseline: float) -> np.ndarray:
 class EdgeShadow(ImageFault):
     """Holes left of depth edges, as wide as the disparity jumps; level is the baseline.
 
-    Only the left imager sees what is there.
+    Only the left imager sees what is there. A D435i's baseline is 50 mm.
     """
 
     unit = "mm"
@@ -51,7 +51,7 @@ class EdgeShadow(ImageFault):
 class DisparitySteps(ImageFault):
     """Disparity of a 50 mm baseline is rounded to multiples of the level.
 
-    The ground becomes terraces, coarser the farther away.
+    The ground becomes terraces, coarser the farther away: 0.1 px are 4 cm at 1 m.
     """
 
     unit = "px"

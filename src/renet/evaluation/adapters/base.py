@@ -26,12 +26,12 @@ class Senses:
     angular_velocity: np.ndarray
     """[N, 3] rad/s, base frame, with the gyroscope's noise."""
     gravity: np.ndarray
-    """[N, 3] unit vector, base frame, with noise."""
+    """[N, 3] direction of gravity, unit vector, base frame, with noise; (0, 0, -1) when level."""
     command: np.ndarray
     """[N, 3]: v_x, v_y in m/s and omega_z in rad/s, base frame; on a course omega_z is the error of
     the heading times `interface.TURN_GAIN`, at most `MAX_TURN` either way."""
     joint_position: np.ndarray
-    """[N, 12] rad, with the encoders' zero errors."""
+    """[N, 12] rad, not relative to a pose, with the encoders' zero errors."""
     joint_velocity: np.ndarray
     """[N, 12] rad/s, with noise."""
     depth: np.ndarray
