@@ -87,7 +87,7 @@ def decide(kind: str, spec, pictures: np.ndarray, steps: list[dict[str, Any]]) -
         verdict = None
         if step["tick"]:
             gate = selector.look(seen)
-            verdict = gate is None or bool(gate.judge(fields)[0])
+            verdict = bool(gate.judge(fields)[0])
         decision = {"gate": verdict, "vision": bool(selector.update(seen, step["now"])[0])}
         decision |= {name: str(getattr(selector, name)[0]) for name in ("state", "reason")}
         decided.append({**decision, "probability": float(selector.probability[0])})

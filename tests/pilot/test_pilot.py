@@ -8,16 +8,20 @@ salt and pepper.
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import renet
-from renet.bundle import Bundle
+from renet.bundle import Bundle, write_bundle
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, STEPS_PER_TICK
+from renet.models.config import ModelCfg
+from renet.models.renet import RENet
 from renet.pilot import PILOT_MODES, Images, Pilot
+from renet.training.export import export_models
 
 WALKS = np.load(Path(__file__).with_name("data") / "walks.npz")
 STILL = np.zeros((1, 45), np.float32)
@@ -265,3 +269,21 @@ def test_importing_renet_needs_neither_torch_nor_onnx():
     code = "import sys, renet; print({'torch', 'onnxruntime', 'numpy'} & sys.modules.keys())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize("mode", PILOT_MODES)
+def test_an_old_image_is_no_evidence_of_stillness_in_any_mode(manifest, tmp_path, mode):
+    networks = RENet(ModelCfg(detector="variance", expect_image=True), critic_size=10).eval()
+    path = write_bundle(tmp_path / "expecting", export_models(networks), manifest)
+    pilot = renet.load(path, mode=mode)
+    random = np.random.default_rng(0)
+    evidence = []
+    for step in range(60):
+        # An image at every second tick.
+        image = random.random((1, 48, 64)) if step % 10 == 0 else None
+        pilot.step(random.normal(size=(1, 45)), image, 0.02 * step)
+        evidence.append(pilot.policy.evidence[0].tolist())
+    ticks = evidence[::5]
+    changed = [now != before for before, now in pairwise(ticks)]
+    assert not any(changed[::2])
+    assert all(changed[3::2])

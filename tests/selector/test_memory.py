@@ -195,7 +195,7 @@ def test_without_a_memory_every_image_is_used_and_a_spoilt_one_costs_vision():
     for kind, spec in (("memory", SelectorSpec(beta=0.2)), ("switch", SPEC)):
         selector = make_selector(kind, spec)
         given = replace(HEALTHY, anomaly_score=np.full(1, 0.9), has_image=np.ones(1, bool))
-        assert selector.look(given) is None
+        assert selector.look(given).judge({}).all()
         for update in range(7):
             selector.update(given, update / 200)
         assert selector.state.tolist() == [BLIND]

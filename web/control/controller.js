@@ -131,8 +131,7 @@ export class Controller {
     const { image } = this.frames;
     if (image) this.image = image;
     const gate = this.selector.look(this.seen(fresh, now));
-    if (this.mode === "memory") await this.policy.tick(image, gate, Boolean(fresh));
-    else await this.policy.tick(image, () => true, true);
+    await this.policy.tick(image, this.mode === "memory" ? gate : () => true, Boolean(fresh));
   }
 
   /** Whether VP may drive the next step. */

@@ -102,8 +102,8 @@ class Selector(Protocol):
         """Vision probability P_t, [N]."""
         ...
 
-    def look(self, seen: SelectorInput) -> Gate | None:
-        """Judge the images of a tick before vision runs; None means that VP may use all."""
+    def look(self, seen: SelectorInput) -> Gate:
+        """Judge the images of a tick before vision runs; returns the gate on VP's images."""
         ...
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
@@ -412,15 +412,21 @@ class Pilot:
         return self._camera.hold(image, now)
 
     def _look(self, images: Images) -> Gate | None:
-        """Let the selectors look at the images of a tick; returns the gate of the memory."""
+        """Let the selectors look at the images of a tick.
+
+        Returns:
+            Gate that withholds images from robots in the mode `memory`; None for a policy that
+            cannot do without an image.
+        """
         if images.image is not None:
             self._image = images.image
         seen = self.seen(images, fresh=self._arrived)
         self._arrived = np.zeros(self.num_robots, bool)
         gates = {kind: selector.look(seen) for kind, selector in self.selectors.items()}
-        gate = gates.get("memory")
-        if gate is None or not hasattr(self.policy, "has_image"):
+        if not hasattr(self.policy, "has_image"):
             return None
+        # Any gate tells which images are new; that of a memory comes first.
+        gate = next(iter(gates.values()))
         return replace(gate, robots=self.modes == "memory")
 
     def _state(self, images: Images) -> np.ndarray:

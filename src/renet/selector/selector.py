@@ -185,19 +185,19 @@ class MonitorSelector:
         """State of each robot, [N] of `SEES`, `REMEMBERS` or `BLIND`."""
         return _STATES[np.where(self.vision, self.without_image > 0, 2)]
 
-    def look(self, seen: SelectorInput) -> Gate | None:
+    def look(self, seen: SelectorInput) -> Gate:
         """Judge the images of a tick before the vision model runs; called once in every tick.
 
         Args:
             seen: State of vision, of which image, fresh, age and invalid are used.
 
         Returns:
-            Gate that withholds images from VP; None without a memory, when VP uses all images.
+            Gate that withholds images from VP; without a memory VP uses all images.
         """
         verdicts = self._verdicts(seen, self._before_vision)
         self._looked = True
         if not self.longest_memory:
-            return None
+            return Gate(np.ones(len(seen.fresh), bool), {}, fresh=seen.fresh)
         late = seen.age >= self.thresholds.get("frame_age", math.inf)
         self._steady = np.where(late, 0, self._steady + seen.fresh)
         self._is_new = seen.fresh
