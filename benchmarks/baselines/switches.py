@@ -179,8 +179,9 @@ class SwitchSelector:
         """[N] logistic function of the smoothed preference."""
         return special.expit(np.nan_to_num(self._mean))
 
-    def look(self, seen: SelectorInput) -> None:
+    def look(self, seen: SelectorInput) -> ImageGate:
         """Every image is VP's."""
+        return ImageGate.open(seen.fresh)
 
     @torch.no_grad()
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:

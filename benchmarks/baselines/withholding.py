@@ -58,11 +58,12 @@ class Oracle:
         """[N] 1 or 0."""
         return self._healthy.astype(float)
 
-    def look(self, seen: SelectorInput) -> None:
-        """Ask which cameras fail in the tick that begins."""
+    def look(self, seen: SelectorInput) -> Gate:
+        """Ask which cameras fail in the tick that begins; every image is VP's."""
         assert self.rollout is not None
         self._tick += 1
         self._healthy = ~self.rollout.injector.at_work(self._tick * STEPS_PER_TICK)
+        return Gate.open(seen.fresh)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """What it knew at the tick."""
@@ -97,7 +98,8 @@ class WithholdingSelector:
         self.judge.look(seen)
         if isinstance(self.judge, Oracle):
             self._trusted = self.judge.update(seen, 0.0)
-        return Gate(self._trusted & seen.fresh.astype(bool), limits={})
+        fresh = seen.fresh.astype(bool)
+        return Gate(self._trusted & fresh, limits={}, fresh=fresh)
 
     def update(self, seen: SelectorInput, now: float) -> np.ndarray:
         """[N] bool: VP drives, with or without images."""

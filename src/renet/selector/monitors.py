@@ -79,6 +79,11 @@ class Gate:
     fresh: np.ndarray | bool = True
     """True for images that are new, [N] bool."""
 
+    @classmethod
+    def open(cls, fresh: np.ndarray) -> Gate:
+        """Return a gate that withholds no image; `fresh` is True for those that are new, [N]."""
+        return cls(np.ones(len(fresh), bool), {}, fresh=fresh)
+
     def of(self, rows: np.ndarray) -> Gate:
         """Return the gate of some robots, given by their rows."""
         robots = self.robots[rows] if isinstance(self.robots, np.ndarray) else self.robots

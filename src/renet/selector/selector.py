@@ -197,7 +197,7 @@ class MonitorSelector:
         verdicts = self._verdicts(seen, self._before_vision)
         self._looked = True
         if not self.longest_memory:
-            return Gate(np.ones(len(seen.fresh), bool), {}, fresh=seen.fresh)
+            return Gate.open(seen.fresh)
         late = seen.age >= self.thresholds.get("frame_age", math.inf)
         self._steady = np.where(late, 0, self._steady + seen.fresh)
         self._is_new = seen.fresh
