@@ -34,13 +34,16 @@ BLOCK_LOG_VARIANCE = (-8.0, -3.0)
 LARGEST_ERROR = 3.0
 """Error of a block, in standard deviations, above which it counts as that large: an edge that comes
 into view says little of how the rest of the image moves."""
-LARGEST_CHANGE = 1000.0
-"""Change of an image above which it counts as that large, so that few images outweigh all others;
-in the units of `Evidence.expected`. A walking robot's median is 230."""
+LARGEST_CHANGE = 500.0
+"""Change of an image above which it counts as that large, in the units of `Evidence.expected`; a
+walking robot's median is 230. Few images then cannot outweigh all others."""
 KEPT = 0.8
 """Share of the evidence that is kept when an image arrives: it spans about five images."""
 STANDING = 500.0
 """Change that is added to that expected, so that a robot at rest has no evidence."""
+START = 2500.0
+"""Expected change with which a robot starts, none of it lacking: it does not know its motion yet,
+and expects too much of the first images."""
 
 
 class Recollection(NamedTuple):
@@ -63,7 +66,7 @@ class Evidence(NamedTuple):
     """
 
     expected: Tensor
-    """Sum of the expected changes' squares, [N]."""
+    """Sum of the expected changes' squares, [N]; 0 where a robot starts."""
     lacking: Tensor
     """Sum of the expected changes times what the images lack of them, [N]."""
 
@@ -144,8 +147,9 @@ class ImageExpectation(nn.Module):
         expected = change.square().sum(dim=-1)
         lacking = (change * error).sum(dim=-1)
         weight = LARGEST_CHANGE / expected.clamp_min(LARGEST_CHANGE)
+        before = torch.where(evidence.expected > 0.0, evidence.expected, START)
         return Evidence(
-            KEPT * evidence.expected + weight * expected,
+            KEPT * before + weight * expected,
             KEPT * evidence.lacking + weight * lacking,
         )
 
