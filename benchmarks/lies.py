@@ -67,7 +67,7 @@ class Cfg:
     faults: tuple[str, ...] = LIES + UNSEEN
     """Faults, all at severity 5."""
     level: int = 5
-    """Level of the gap: 5 is 43 cm."""
+    """Level of the gap: 5 is 37 cm."""
     onset: float = 0.6
     """Time at which cameras begin to lie, s; robots come to the gap after some 2 s."""
     robots: int = 40
