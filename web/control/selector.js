@@ -146,8 +146,8 @@ export class Selector {
 
   /**
    * Take what is known of vision at one moment.
-   * @param {object} seen anomalyScore, varianceScore, surprise, stillness, image (a new array whenever one arrives), fresh,
-   *   age, invalid, velocityOp, velocityVp, hasImage, mapError.
+   * @param {object} seen anomalyScore, varianceScore, surprise, stillness, image (a new array whenever one
+   *   arrives), fresh, age, invalid, velocityOp, velocityVp, hasImage, mapError.
    * @param {number} now seconds.
    * @returns {boolean} whether to use vision.
    */

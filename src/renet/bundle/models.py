@@ -47,6 +47,11 @@ MAP_ERROR = "map_error"
 """Output [N] of estimators that predict the error of their height map ahead, m."""
 HAS_IMAGE = "has_image"
 """Input [N, 1] of estimators that can do without an image: 1 where there is one, 0 where not."""
+EVIDENCE = {"evidence": (2,)}
+"""Further input of vision models with an output `STILLNESS`: the evidence of earlier images (see
+`models.expectation.Evidence`)."""
+NEXT_EVIDENCE = {"next_evidence": (2,)}
+"""Further output of these models: the evidence with the newest image."""
 _accepted: set[str] = set()
 """Digests of models that this process has tried."""
 
@@ -92,15 +97,6 @@ def recollection_shapes(history: int) -> dict[str, tuple[int, ...]]:
     }
 
 
-def evidence_shapes() -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
-    """Return the other inputs and outputs of vision models with an output `STILLNESS`.
-
-    They are the evidence of earlier images, and that with the newest one (see
-    `models.expectation.Evidence`).
-    """
-    return {"evidence": (2,)}, {"next_evidence": (2,)}
-
-
 def known_shapes(vision: Session, history: int) -> dict[str, tuple[int, ...]]:
     """Return the inputs of a vision model beside the images, by name.
 
@@ -113,7 +109,7 @@ def known_shapes(vision: Session, history: int) -> dict[str, tuple[int, ...]]:
     if SURPRISE in outputs:
         inputs |= recollection_shapes(history)
     if STILLNESS in outputs:
-        inputs |= evidence_shapes()[0]
+        inputs |= EVIDENCE
     return inputs
 
 
@@ -182,7 +178,7 @@ def problem(model: ort.InferenceSession, name: str, history: int) -> str:
     if name == "vision":
         inputs = inputs | known_shapes(model, history)
         if STILLNESS in names:
-            outputs = outputs | evidence_shapes()[1]
+            outputs = outputs | NEXT_EVIDENCE
     for optional in (VARIANCE, SURPRISE, STILLNESS, MAP_ERROR):
         if optional in names:
             outputs = outputs | {optional: ()}

@@ -140,13 +140,14 @@ class ImageExpectation(nn.Module):
             evidence: Evidence of the images before.
         """
         expected_blocks, log_variance = self(known)
-        change = expected_blocks - known.blocks
+        # Changes and errors in standard deviations of the expected error.
         deviation = (0.5 * log_variance).exp()
+        change = (expected_blocks - known.blocks) / deviation
         error = ((expected_blocks - blocks) / deviation).clamp(-LARGEST_ERROR, LARGEST_ERROR)
-        change = change / deviation
         expected = change.square().sum(dim=-1)
         lacking = (change * error).sum(dim=-1)
         weight = LARGEST_CHANGE / expected.clamp_min(LARGEST_CHANGE)
+        # Robots without evidence begin with that of images that moved.
         before = torch.where(evidence.expected > 0.0, evidence.expected, START)
         return Evidence(
             KEPT * before + weight * expected,

@@ -116,7 +116,7 @@ class BundlePolicy:
         """Share of the expected change that the last images lack, [N]; infinite without a camera,
         and otherwise zero if the model expects no images."""
         self.evidence = np.zeros((n, 2), np.float32)
-        """Evidence of the images' motion, [N, 2] (see `bundle.models.evidence_shapes`)."""
+        """Evidence of the images' motion, [N, 2] (see `bundle.models.EVIDENCE`)."""
         self.image_age = np.full(n, np.nan)
         """Time for which images have been withheld, [N] s; NaN where VP was never given one."""
         self.vp_lost = np.zeros(n, bool)

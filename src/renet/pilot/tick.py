@@ -46,7 +46,7 @@ class EstimatorInput(NamedTuple):
     image_age: np.ndarray
     """Time for which images have been withheld, [N] s; NaN where VP was never given one."""
     evidence: np.ndarray
-    """Evidence of the images before, [N, 2] (see `bundle.models.evidence_shapes`)."""
+    """Evidence of the images before, [N, 2] (see `bundle.models.EVIDENCE`)."""
     gate: Gate | None
     """Gate that withholds images from VP; None withholds none."""
     blind: bool

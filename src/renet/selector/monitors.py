@@ -221,6 +221,7 @@ MONITORS = {
         floor=3.0,
     ),
     "partly_frozen": Monitor(
+        # That noise repeats in no part of the image, either.
         "part of the image is frozen",
         lambda seen, images: images.partly_equal,
         limit=10.0,

@@ -15,12 +15,13 @@ from renet import __version__
 from renet.bundle import write_bundle
 from renet.bundle.manifest import CameraSpec, Manifest, ProvenanceSpec, RobotSpec
 from renet.bundle.models import (
+    EVIDENCE,
     HAS_IMAGE,
     MAP_ERROR,
+    NEXT_EVIDENCE,
     STILLNESS,
     SURPRISE,
     VARIANCE,
-    evidence_shapes,
     model_shapes,
     recollection_shapes,
 )
@@ -229,8 +230,8 @@ class VisionGraph(nn.Module):
         """Compute the reconstruction [N, 2, 48, 64], Loss_ad [N], and other scores, [N] each.
 
         The variance score is an output of the variance detector alone. Models with an expectation
-        also take `bundle.models.recollection_shapes` and `evidence_shapes`, and give the surprise,
-        the stillness and the next evidence.
+        also take `bundle.models.recollection_shapes` and `EVIDENCE`, and give the surprise, the
+        stillness and the next evidence.
         """
         reconstruction, log_variance = self.autoencoder.predict(depth)
         outputs = [reconstruction, anomaly_score(depth, reconstruction)]
@@ -263,11 +264,8 @@ def export_models(model: RENet) -> dict[str, bytes]:
         shapes["vision"][1][VARIANCE] = ()
     if model.expectation is not None:
         inputs, outputs = shapes["vision"]
-        inputs.update(recollection_shapes(model.cfg.history))
-        outputs.update({SURPRISE: (), STILLNESS: ()})
-        evidence_inputs, evidence_outputs = evidence_shapes()
-        inputs.update(evidence_inputs)
-        outputs.update(evidence_outputs)
+        inputs.update(recollection_shapes(model.cfg.history) | EVIDENCE)
+        outputs.update({SURPRISE: (), STILLNESS: ()} | NEXT_EVIDENCE)
     if model.vp.map_error_head is not None:
         shapes["estimator"][1][MAP_ERROR] = ()
     graphs = {"actor": ActorGraph, "estimator": EstimatorGraph, "vision": VisionGraph}
