@@ -176,12 +176,12 @@ def black(label: str, studies: tuple[str, ...] = ("blackout_on_the_way", "blacko
 
 
 def reach(label: str) -> list[str]:
-    """Robots that cross, fall and stand whose camera dies before gaps: they walk on, or stop."""
+    """Robots over a gap, fallen into it and standing before it, when they walk on, or stop."""
     runs = [run for run in result("reach")["runs"] if run["scene"] == "two gaps"]
     conducts = ("walk", "stop")
     if label == "of them at the second gap":
-        fell = {run["unseen"]: run["fell_at_second"] for run in runs}
-        return [f"{fell[conduct]} fall" for conduct in conducts]
+        ends = {run["unseen"]: (run["fell_at_second"], run["stood_behind"]) for run in runs}
+        return ["{} fall, {} stand".format(*ends[conduct]) for conduct in conducts]
     if label != "before two gaps":
         metres = float(label.split(" m ")[0])
         runs = [
@@ -189,8 +189,12 @@ def reach(label: str) -> list[str]:
             for run in result("reach")["runs"]
             if run["scene"] == "gap" and run["metres"] == metres
         ]
-    ends = {run["unseen"]: (run["crossed"], run["fell"], run["stood"]) for run in runs}
-    return [" / ".join(map(str, ends[conduct])) for conduct in conducts]
+    cells = {}
+    for run in runs:
+        fell = run["fell"] - run["fell_at_second"]
+        over = run["robots"] - fell - run["stood_before"]
+        cells[run["unseen"]] = f"{over} / {fell} / {run['stood_before']}"
+    return [cells[conduct] for conduct in conducts]
 
 
 def one_try(_label: str) -> list[str]:

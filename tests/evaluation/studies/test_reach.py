@@ -21,7 +21,7 @@ def test_a_robot_that_stops_does_not_fall_into_a_gap_it_never_saw(tmp_path):
     assert runs["walk"]["fell"] >= 3
     assert runs["stop"]["fell"] <= 1
     for run in runs.values():
-        assert run["crossed"] + run["fell"] + run["stood"] == 4
+        assert run["crossed"] + run["fell"] + run["stood_before"] + run["stood_behind"] == 4
         assert run["measured_m"] == pytest.approx(1.35, abs=0.1)
     assert (tmp_path / "reach.png").stat().st_size > 10_000
 
@@ -38,6 +38,19 @@ def test_falls_at_the_second_gap_are_told_from_those_at_the_first():
     row = study._row(trace, gap)
     assert (row["crossed"], row["fell"], row["fell_at_second"]) == (1, 4, 2)
     assert study._row(trace, single_gap(0.37, 0.8))["fell_at_second"] == 0
+
+
+def test_robots_that_stand_behind_a_gap_are_told_from_those_before_it():
+    gap = single_gap(0.37, 0.8)
+    # The gap is from 1.3 to 1.67 m from the start. The last robot falls at 2 m.
+    distances = (1.0, 1.5, 1.7, 2.2, 2.0)
+    trace = Trace.empty(200, len(distances))
+    trace.travelled[:] = distances
+    trace.fell[150, 4] = True
+    trace.ended[150, 4] = True
+    row = ReachStudy()._row(trace, gap)
+    assert (row["fell"], row["stood_before"], row["stood_behind"]) == (1, 2, 2)
+    assert row["over_rate"] == 2 / 5
 
 
 def test_both_gaps_fit_on_the_tile():

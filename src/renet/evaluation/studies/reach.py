@@ -134,33 +134,40 @@ class ReachStudy(WalkingStudy):
         crossed, fell, _ = trace.first_try()
         # The camera dies at a time, so robots are not exactly where the settings say.
         from_edge = gap.island - trace.travelled[self.onset]
-        at_second = fell & (_last_distance(trace) > _second_gap(gap))
+        last = _last_distance(trace)
+        at_second = fell & (last > _second_gap(gap))
+        stood = ~crossed & ~fell
+        # A robot may leap over the gap that it remembers, and stop at unseen ground behind it.
+        behind = ~fell & (last > gap.island + gap.high)
         return {
             "measured_m": float(from_edge.mean()),
             "robots": len(crossed),
             "crossed": int(crossed.sum()),
             "fell": int(fell.sum()),
             "fell_at_second": int(at_second.sum()),
-            "stood": int((~crossed & ~fell).sum()),
-            **metrics.share_columns("crossed", crossed),
+            "stood_before": int((stood & ~behind).sum()),
+            "stood_behind": int((stood & behind).sum()),
+            **metrics.share_columns("over", crossed | behind),
             **metrics.share_columns("fell", fell),
             "seed": self.seed,
         }
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure reach.png: shares that cross and fall, against the distance of the death."""
+        """Figure reach.png: shares of robots over the gap, and of falls, against the distance."""
         figure, axes = plt.subplots(
             2, 1, figsize=(figures.FIGURE_WIDTH, 5.0), sharex=True, sharey=True
         )
         single = select(summary["runs"], scene="gap")
-        for axis, share in zip(axes, ("crossed", "fell"), strict=True):
+        for axis, share in zip(axes, ("over", "fell"), strict=True):
             for number, ((conduct,), runs) in enumerate(group_by(single, "unseen").items()):
                 # Conducts are side by side, or equal shares would hide each other.
                 x = np.array(column(runs, "measured_m")) + 0.012 * number
                 look = {"color": _COLOURS[conduct], "label": conduct}
                 figures.draw_shares(axis, x, runs, share, **look)
-            axis.set_title(f"{share}, gap of {100 * self.gap:.0f} cm", fontsize=9)
             axis.set_ylabel("robots (%)")
+        width = f"{100 * self.gap:.0f} cm"
+        axes[0].set_title(f"crossed the gap of {width}, or stopped behind it", fontsize=9)
+        axes[1].set_title("fell", fontsize=9)
         axes[0].set_ylim(-4, 104)
         axes[1].set_xlabel("metres from the camera's death to the edge")
         figures.legend(figure, axes[0])
@@ -168,12 +175,21 @@ class ReachStudy(WalkingStudy):
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
         """Counts by scene, distance and conduct."""
-        header = ("scene", "dead at (m)", "at the end", "crossed", "fell", "at the second", "stood")
+        header = (
+            "scene",
+            "dead at (m)",
+            "at the end",
+            "crossed",
+            "fell",
+            "at the second",
+            "stood before",
+            "stood behind",
+        )
         rows = []
         for run in summary["runs"]:
             at = f"{run['measured_m']:.2f}"
-            counts = (run["crossed"], run["fell"], run["fell_at_second"], run["stood"])
-            rows.append((run["scene"], at, run["unseen"], *counts))
+            counts = ("crossed", "fell", "fell_at_second", "stood_before", "stood_behind")
+            rows.append((run["scene"], at, run["unseen"], *(run[name] for name in counts)))
         return [(f"Cameras that die before a gap, {self.robots_each} robots each", header, rows)]
 
 
@@ -193,7 +209,9 @@ def _second_gap(gap: GapTile) -> float:
 
 
 def _last_distance(trace: Trace) -> np.ndarray:
-    """Distance from the start at which the first tries ended, [N] m; of no use if they did not."""
+    """Distance from the start at which the first tries, or else the run, ended, [N] m."""
+    over = trace.over
     # In the step in which a try ends the robot is at its next start already.
-    before = np.maximum(trace.over.argmax(axis=0) - 1, 0)
-    return trace.travelled[before, np.arange(len(before))]
+    ends = np.maximum(over.argmax(axis=0) - 1, 0)
+    ends[~over[-1]] = -1
+    return trace.travelled[ends, np.arange(len(ends))]
