@@ -79,6 +79,17 @@ def test_every_size_and_mode_has_its_row(run_study):
     assert (folder / "summary.csv").read_text().count("\n") == 19
 
 
+def test_presets_in_one_folder_keep_their_own_results(tmp_path):
+    """With the same settings the first try fails, which counts in `success` alone."""
+    settings = {"levels": (3,), "modes": ("memory",), "robots": 3, "seconds": 2.0}
+    passed = []
+    for study in (terrain.TerrainStudy, terrain.SuccessStudy):
+        in_one_folder = study(out=tmp_path, kinds=("gap",), **settings)
+        (run,) = in_one_folder.run(FakeEvaluator(Hurdles))["runs"]
+        passed.append(run["passed"])
+    assert passed == [3, 0]
+
+
 def test_dawns_sizes_are_walked_and_stated(tmp_path):
     """arXiv 2609.29092: stairs of 6 to 18 cm, gaps of 10 to 90 cm, steps of 10 to 54 cm."""
     walked = {}
