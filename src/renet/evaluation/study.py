@@ -160,6 +160,8 @@ class Study:
         key = {name: value for name, value in asdict(self).items() if name not in free}
         # Presets of a study have the same settings.
         key["study"] = self.name
+        # A given evaluator has conditions of its own.
+        key["conditions"] = evaluator.conditions
         for name in ("bundle_hash", "renet_version", "commit"):
             key[name] = getattr(provenance, name)
         # A file's content counts, not its name.
@@ -206,6 +208,7 @@ class Study:
         settings = asdict(self)
         for name in _PROCESS_SETTINGS:
             del settings[name]
+        settings["conditions"] = evaluator.conditions
         summary |= {"settings": settings, "provenance": vars(provenance)}
         return plain(summary)
 
