@@ -26,6 +26,24 @@ def test_one_row_for_each_setting_and_mode(run_study):
         assert (folder / f"{name}.png").stat().st_size > 10_000
 
 
+@pytest.mark.parametrize("names", [("blackout", "glass"), ("glass", "blackout")])
+def test_blind_robots_of_all_grounds_are_in_their_row(names):
+    """Glass is on platforms alone, where all blind robots stay upright; at gaps none does."""
+    runs = []
+    for fault, mode in product(names, ("memory", "blind")):
+        for ground in ("platform",) if fault == "glass" else ("platform", "gap"):
+            run = {"fault": fault, "severity": 5, "ground": ground, "onset": 1.5, "mode": mode}
+            run |= {"survival": float(ground == "platform"), "detected": 0, "detected_by_paper": 0}
+            run |= {"vision_active_at_onset": 1, "measures": {"crossed": {"value": 1.0}}}
+            runs.append(run)
+    study = FaultStudy(faults=names, modes=("memory", "blind"), grounds=("platform", "gap"))
+    axis = study.draw({"runs": runs}, {})["survival.png"].axes[0]
+    rows = [label.get_text() for label in axis.get_yticklabels()]
+    place = rows.index("blind, any fault")
+    (cell,) = [text for text in axis.texts if text.get_position()[1] == place]
+    assert cell.get_text() == "50"
+
+
 def test_survival_and_detection_are_those_of_the_robots(run_study):
     _, summary = run_study("faults")
     rows = {(r["fault"], r["severity"], r["mode"]): r for r in summary["runs"]}

@@ -485,9 +485,16 @@ def _mode_panels(
     tables = {}
     for mode, runs in modes.items():
         tables[mode] = dict(figures.mean_cells(runs, share, heading))
-    # Mode blind sees no fault: it needs one row only, at the foot of the others' tables.
-    blind = tables.pop("blind", {}) if len(tables) > 1 else {}
+    if "blind" not in modes or len(modes) == 1:
+        return tables
+    # Mode blind sees no fault: it needs one row only, at the foot of the others' tables, in which
+    # its walk on a ground counts once, however many faults are studied there.
+    del tables["blind"]
+    walks = {}
+    for run in modes["blind"]:
+        place = (run["ground"], run["onset"], run[heading])
+        walks[place] = run | {"fault": "blind, any fault"}
+    row = figures.mean_cells(list(walks.values()), share, heading)
     for table in tables.values():
-        for (_, name), cell in blind.items():
-            table["blind, any fault", name] = cell
+        table.update(row)
     return tables
