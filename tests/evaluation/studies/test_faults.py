@@ -1,5 +1,5 @@
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -7,8 +7,9 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.studies import faults
 from renet.evaluation.studies.faults import FaultStudy
+from renet.interface import STEPS_PER_TICK
 
-from ..fakes import FakeEvaluator
+from ..fakes import FakeEvaluator, FakePolicy
 
 
 def test_one_row_for_each_setting_and_mode(run_study):
@@ -69,6 +70,30 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert where == [
         (g, mode, 0) for g in ("flat", "gap") for mode in ("camera", "memory", "blind")
     ]
+
+
+class Surprised(FakePolicy):
+    """One image contradicts what was seen before, and later two in a row do."""
+
+    clock = 0
+
+    def step(self, proprioception, depth, op_mask) -> np.ndarray:
+        tick = self.clock // STEPS_PER_TICK
+        self.clock += 1
+        self.surprise = np.full(len(depth), float(tick in (10, 30, 31)))
+        return super().step(proprioception, depth, op_mask)
+
+
+class SurprisedEvaluator(FakeEvaluator):
+    thresholds: ClassVar = {"surprise": 0.5}
+
+
+def test_a_single_surprising_image_is_no_false_alarm(tmp_path):
+    options = {"faults": ("blackout:5",), "grounds": ("flat",), "robots": 1}
+    options |= {"lasts": 1.0, "seconds": 2.6, "healthy_minutes": 0.1}
+    fake: Any = SurprisedEvaluator(policy=Surprised)
+    healthy = FaultStudy(tmp_path, **options).run(fake)["healthy"]
+    assert healthy["alarms_by_monitor"] == {"surprise": 1}
 
 
 def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles():
