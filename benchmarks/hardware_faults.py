@@ -285,8 +285,13 @@ def harm(path: np.ndarray, since: float, until: float) -> float | None:
 
 
 def judge(fault: Fault, outcome: dict) -> str:
-    """What became of a fault: told soon, told in time, harmless, or harmful."""
+    """What became of a fault: told soon, told in time, harmless, or harmful.
+
+    A robot that was braked, or told of, before the fault says nothing about it: a false alarm.
+    """
     told, harmed = outcome["told"], outcome["harm"]
+    if told is not None and told < fault.time:
+        return "false alarm"
     if told is not None and told - fault.time <= SOON + 1e-6:
         return "told soon"
     if harmed is None:

@@ -47,7 +47,7 @@ class PlaygroundPolicy:
 
 class Playground:
     def make_evaluator(self):
-        evaluator = TheirEvaluator(self.model, self.conditions)
+        evaluator = TheirEvaluator(self.model, self.conditions, self.motors)
         evaluator.privileged = ("velocity",)
         evaluator.make_policy = lambda n: PlaygroundPolicy(self.model, n, evaluator)
         return evaluator

@@ -44,8 +44,8 @@ class TheirPolicy:
 
 
 class TheirEvaluator(Evaluator):
-    def __init__(self, model: Path, conditions="training"):
-        super().__init__(conditions=conditions)
+    def __init__(self, model: Path, conditions="training", motors="ideal"):
+        super().__init__(conditions=conditions, motors=motors)
         try:
             digest = hashlib.sha256(model.read_bytes()).hexdigest()
         except OSError as error:

@@ -18,6 +18,7 @@ from renet.models.adaptation import fuse
 from renet.models.memory import EstimatorMemory
 from renet.models.oracle import true_image
 from renet.models.renet import RENet
+from renet.motor_models import IDEAL
 from renet.tasks.entity import ACTION_CLIP
 from renet.training import checkpoint as checkpoints
 from renet.training.export import load_networks
@@ -78,9 +79,11 @@ class CheckpointEvaluator(Evaluator):
 
     privileged = ("height_map",)
 
-    def __init__(self, path: Path, conditions: Conditions = "training") -> None:
+    def __init__(
+        self, path: Path, conditions: Conditions = "training", motors: str = IDEAL
+    ) -> None:
         """Load a checkpoint; raises RenetError where it is damaged."""
-        super().__init__(conditions=conditions)
+        super().__init__(conditions=conditions, motors=motors)
         self._model = load_networks(path)
         self._name = path.name
         digest = hashlib.sha256()

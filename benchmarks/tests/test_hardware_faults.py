@@ -86,6 +86,9 @@ def test_faults_are_drawn_alike_and_of_all_kinds():
 @pytest.mark.parametrize(
     ("told", "harmed", "verdict"),
     [
+        (2.9, None, "false alarm"),
+        (2.9, 3.2, "false alarm"),
+        (3.0, None, "told soon"),
         (3.4, None, "told soon"),
         (3.5, 3.2, "told soon"),
         (3.6, None, "told later, no harm"),

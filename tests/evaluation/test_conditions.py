@@ -65,6 +65,18 @@ def test_motors_joints_mounts_and_delays_have_trainings_ranges_and_are_the_twins
     assert torch.equal(camera._rotation, camera._rotation[TWIN])
 
 
+def test_motors_lose_torque_with_speed_as_in_training():
+    trained = env_cfg("Renet-Go1-Parkour")
+    randomize(trained, no_load_speed=(1.0, 1.5))
+    motors = SimEnv(config(trained), NUMBERS, 5, "native").env.motors
+    assert motors is not None
+    # Each robot has one multiple of the velocities of its motors.
+    multiple = motors.no_load_speed / motors.no_load_speed.amin(0, keepdim=True)
+    assert 1.0 < multiple.max() <= 1.5
+    assert torch.equal(motors.no_load_speed, motors.no_load_speed[TWIN])
+    assert len(motors.no_load_speed.unique(dim=0)) == len(set(NUMBERS))
+
+
 def test_twins_are_noisy_late_and_pushed_alike_in_every_run(world):
     runs = []
     for _ in range(2):

@@ -27,7 +27,7 @@ from renet.tasks import VISUAL_GO1
 from renet.tasks.sensors import DEPTH_CAMERA
 
 from .fakes import SPEED, FakeEvaluator
-from .tiny import STUDIES
+from .tiny import STUDIES, TINY
 
 
 def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path, monkeypatch):
@@ -67,6 +67,17 @@ def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path, monkeypatch):
         with pytest.raises(RenetError, match=rf"speed_0\.3-\w+\.json is {message}"):
             study.run(Other())
     assert study.tables(summary)[0][2][0] == (0.3, pytest.approx(SPEED), 0)
+
+
+def test_the_conditions_of_a_given_evaluator_are_stated_and_kept_apart(tmp_path):
+    study = replace(TINY["memory"], out=tmp_path, conditions="training")
+    evaluator = FakeEvaluator()
+    evaluator.conditions = "nominal"
+    assert study.run(evaluator)["settings"]["conditions"] == "nominal"
+    parts = list(study.part_maker(evaluator).makers)
+    assert study.part_maker(evaluator).missing(parts) == []
+    evaluator.conditions = "training"
+    assert study.part_maker(evaluator).missing(parts) == parts
 
 
 def test_presets_are_chosen_on_the_command_line(capsys):

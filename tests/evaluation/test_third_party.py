@@ -97,6 +97,8 @@ def test_playgrounds_policy_alone_sees_the_simulator_in_its_own_order(model, tmp
     np.testing.assert_allclose(seen[:, 3:6], result.angular_velocity, atol=0.7)
     np.testing.assert_allclose(seen[:, 6:9], [[0, 0, -1]] * 2, atol=0.2)
     np.testing.assert_allclose(seen[:, 9:12], result.proprioception[:, 9:12], atol=1e-6)
+    driven = playground_policy.CameraUse(model=theirs, motors="go1").make_evaluator()
+    assert driven.motors is not None
     another = playground_policy.CameraUse(model=model).make_evaluator()
     with pytest.raises(RenetError, match="is not Playground's Go1 policy"):
         another.make_policy(2)

@@ -27,7 +27,7 @@ _PUSH_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def use_training_conditions(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
-    """Set a study's task to the body differences, sensors and pushes of training, in place.
+    """Set a study's task to the bodies, motors, sensors and pushes of training, in place.
 
     Starts, the noise of images and whatever else a study varies are not changed.
 
@@ -45,6 +45,7 @@ def use_training_conditions(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
     for name, event in trained.events.items():
         if event.mode == "startup" or name == PUSH:
             cfg.events[name] = deepcopy(event)
+    cfg.motors = deepcopy(trained.motors)
     camera = depth_camera(cfg)
     other = depth_camera(trained)
     camera.delay = other.delay

@@ -155,9 +155,13 @@ class Study:
         """Make the maker of the study's parts; the evaluator is the settings' by default."""
         evaluator = evaluator or self.make_evaluator()
         provenance = evaluator.provenance(self.seed)
-        # Numbers depend on all settings but these, and on the bundle and the code.
+        # Numbers depend on the study, on all settings but these, and on the bundle and the code.
         free = {"out", "bundle", *_PROCESS_SETTINGS, *self.selectable}
         key = {name: value for name, value in asdict(self).items() if name not in free}
+        # Presets of a study have the same settings.
+        key["study"] = self.name
+        # A given evaluator has conditions of its own.
+        key["conditions"] = evaluator.conditions
         for name in ("bundle_hash", "renet_version", "commit"):
             key[name] = getattr(provenance, name)
         # A file's content counts, not its name.
@@ -204,6 +208,7 @@ class Study:
         settings = asdict(self)
         for name in _PROCESS_SETTINGS:
             del settings[name]
+        settings["conditions"] = evaluator.conditions
         summary |= {"settings": settings, "provenance": vars(provenance)}
         return plain(summary)
 

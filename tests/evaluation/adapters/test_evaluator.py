@@ -1,5 +1,6 @@
 """Somebody else's policy as a policy of the studies."""
 
+import hashlib
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -58,6 +59,21 @@ def test_another_file_is_another_policy(still, tmp_path):
     other = save_model(tmp_path / "other.onnx", STILL.replace("0.01", "0.02"))
     hashes = {AdaptedEvaluator(f, "onnx-depth").provenance(1).bundle_hash for f in (still, other)}
     assert len(hashes) == 2
+
+
+def test_a_changed_adapter_of_ones_own_is_another_policy(tmp_path):
+    model = joint_model(tmp_path / "twice.onnx", "y = Identity (x)")
+    hashes = set()
+    for act in (TWICE, "return senses.joint_position"):
+        mine = write_adapter(tmp_path / "mine.py", act)
+        hashes.add(AdaptedEvaluator(model, mine).provenance(1).bundle_hash)
+    assert len(hashes) == 2
+
+
+def test_the_hash_behind_an_adapter_of_renet_stays_that_of_published_results(still):
+    words = b"Adapter" + b"renet.evaluation.adapters.onnx_depth"
+    expected = hashlib.sha256(still.read_bytes() + words).hexdigest()
+    assert AdaptedEvaluator(still, "onnx-depth").provenance(1).bundle_hash == expected
 
 
 def test_a_wrong_adapter_is_told_before_anybody_walks(still):

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 import extreme_parkour_file as example
+from renet.bundle import pretrained, read_manifest
 from renet.errors import RenetError
 from renet.evaluation.adapters import extreme_parkour
 from renet.evaluation.adapters.base import Senses
@@ -160,21 +161,27 @@ def test_a_reset_forgets_all_of_one_robot_and_nothing_of_another():
 
 
 def test_the_image_shows_what_the_sources_camera_would():
-    """Of a plane whose depth grows linearly with the direction, no pixel is moved."""
+    """Of a plane whose depth grows linearly with the direction, no pixel is moved.
+
+    Directions beyond the bundle's image have the depth of its border.
+    """
     model = Recorder()
-    half_width = np.tan(np.radians(43.5))
-    half_height = np.tan(np.radians(29.0))
-    right = (np.arange(64) + 0.5 - 32) / 32 * half_width
-    down = (np.arange(48) + 0.5 - 24) / 24 * half_height
+    # Slopes of the rays, from the bundle of the adapter's robot.
+    lens = read_manifest(pretrained("go2-parkour")).camera
+    right = (np.arange(64) + 0.5 - lens.cx) / lens.fx
+    down = (np.arange(48) + 0.5 - lens.cy) / lens.fy
     depth = 1.0 + 0.3 * right + 0.5 * down[:, None]
     extreme_parkour.Adapter(model, 1).act(senses(1, depth=depth[None]))
     # The source's square pixels, cut as its crop_depth_image cuts, then resized across.
-    pixel = half_width / 53
+    pixel = np.tan(np.radians(87.0 / 2)) / 53
     rows = (np.arange(60) + 0.5 - 30)[:-2] * pixel
     columns = (np.arange(106) + 0.5 - 53)[4:-4] * pixel
-    wide = 0.5 * (1.0 + 0.3 * columns + 0.5 * rows[:, None]) - 0.5
-    expected = torch.nn.functional.interpolate(torch.from_numpy(wide)[None], 87, mode="linear")
-    np.testing.assert_allclose(model.encoded[0][0][0], expected[0], atol=1e-5)
+    centres = torch.from_numpy(columns)[None, None]
+    across = torch.nn.functional.interpolate(centres, 87, mode="linear")[0, 0].numpy()
+    across = across.clip(right[0], right[-1])
+    below = rows.clip(down[0], down[-1])
+    expected = 0.5 * (1.0 + 0.3 * across + 0.5 * below[:, None]) - 0.5
+    np.testing.assert_allclose(model.encoded[0][0][0], expected, atol=1e-5)
 
 
 class Actor(torch.nn.Module):

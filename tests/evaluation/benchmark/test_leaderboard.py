@@ -62,6 +62,16 @@ def test_three_trainings_of_a_method_are_one_line():
     assert float(rows[0][header.index("score")]) == pytest.approx((95 + 50 + 95) / 3, abs=0.05)
 
 
+def test_two_trainings_do_not_count_every_episode_twice():
+    """A second training with the same walks leaves the interval over episodes as it is."""
+    _, header, alone = leaderboard.ranking([result(GOOD)])
+    twins = [result(GOOD, "t1", "ours"), result(GOOD, "t2", "ours")]
+    _, _, rows = leaderboard.ranking(twins)
+    interval = header.index("95 %")
+    assert rows[0][interval] == alone[0][interval]
+    assert rows[0][header.index("over")] == "episodes"
+
+
 def test_different_episodes_are_not_compared():
     with pytest.raises(RenetError, match="results of the same episodes"):
         leaderboard.ranking([result(GOOD), result([2] * 200, episodes="full")])

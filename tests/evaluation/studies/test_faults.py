@@ -1,5 +1,5 @@
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -7,8 +7,9 @@ import pytest
 from renet.errors import RenetError
 from renet.evaluation.studies import faults
 from renet.evaluation.studies.faults import FaultStudy
+from renet.interface import STEPS_PER_TICK
 
-from ..fakes import FakeEvaluator
+from ..fakes import FakeEvaluator, FakePolicy
 
 
 def test_one_row_for_each_setting_and_mode(run_study):
@@ -24,6 +25,24 @@ def test_one_row_for_each_setting_and_mode(run_study):
     assert len((folder / "summary.csv").read_text().splitlines()) == 37
     for name in ("crossed", "survival", "detection"):
         assert (folder / f"{name}.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("names", [("blackout", "glass"), ("glass", "blackout")])
+def test_blind_robots_of_all_grounds_are_in_their_row(names):
+    """Glass is on platforms alone, where all blind robots stay upright; at gaps none does."""
+    runs = []
+    for fault, mode in product(names, ("memory", "blind")):
+        for ground in ("platform",) if fault == "glass" else ("platform", "gap"):
+            run = {"fault": fault, "severity": 5, "ground": ground, "onset": 1.5, "mode": mode}
+            run |= {"survival": float(ground == "platform"), "detected": 0, "detected_by_paper": 0}
+            run |= {"vision_active_at_onset": 1, "measures": {"crossed": {"value": 1.0}}}
+            runs.append(run)
+    study = FaultStudy(faults=names, modes=("memory", "blind"), grounds=("platform", "gap"))
+    axis = study.draw({"runs": runs}, {})["survival.png"].axes[0]
+    rows = [label.get_text() for label in axis.get_yticklabels()]
+    place = rows.index("blind, any fault")
+    (cell,) = [text for text in axis.texts if text.get_position()[1] == place]
+    assert cell.get_text() == "50"
 
 
 def test_survival_and_detection_are_those_of_the_robots(run_study):
@@ -51,6 +70,30 @@ def test_survival_and_detection_are_those_of_the_robots(run_study):
     assert where == [
         (g, mode, 0) for g in ("flat", "gap") for mode in ("camera", "memory", "blind")
     ]
+
+
+class Surprised(FakePolicy):
+    """One image contradicts what was seen before, and later two in a row do."""
+
+    clock = 0
+
+    def step(self, proprioception, depth, op_mask) -> np.ndarray:
+        tick = self.clock // STEPS_PER_TICK
+        self.clock += 1
+        self.surprise = np.full(len(depth), float(tick in (10, 30, 31)))
+        return super().step(proprioception, depth, op_mask)
+
+
+class SurprisedEvaluator(FakeEvaluator):
+    thresholds: ClassVar = {"surprise": 0.5}
+
+
+def test_a_single_surprising_image_is_no_false_alarm(tmp_path):
+    options = {"faults": ("blackout:5",), "grounds": ("flat",), "robots": 1}
+    options |= {"lasts": 1.0, "seconds": 2.6, "healthy_minutes": 0.1}
+    fake: Any = SurprisedEvaluator(policy=Surprised)
+    healthy = FaultStudy(tmp_path, **options).run(fake)["healthy"]
+    assert healthy["alarms_by_monitor"] == {"surprise": 1}
 
 
 def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles():

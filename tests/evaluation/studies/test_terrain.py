@@ -79,6 +79,32 @@ def test_every_size_and_mode_has_its_row(run_study):
     assert (folder / "summary.csv").read_text().count("\n") == 19
 
 
+def test_presets_in_one_folder_keep_their_own_results(tmp_path):
+    """With the same settings the first try fails, which counts in `success` alone."""
+    settings = {"levels": (3,), "modes": ("memory",), "robots": 3, "seconds": 2.0}
+    passed = []
+    for study in (terrain.TerrainStudy, terrain.SuccessStudy):
+        in_one_folder = study(out=tmp_path, kinds=("gap",), **settings)
+        (run,) = in_one_folder.run(FakeEvaluator(Hurdles))["runs"]
+        passed.append(run["passed"])
+    assert passed == [3, 0]
+
+
+def test_a_highest_level_is_counted_from_the_first_level_on(tmp_path):
+    """Robots pass the first two levels of gaps."""
+    tiny = terrain.TerrainStudy(out=tmp_path, kinds=("gap",), robots=3, seconds=2.0)
+    falling = replace(tiny, levels=(3, 2, 1))
+    summary = falling.run(FakeEvaluator(Ladder))
+    assert summary["levels"] == {"gap": 2.0}
+    assert falling.tables(summary)[1][0] == "Mean highest level of 3 in mode memory"
+    # Without the first level nobody knows.
+    high = replace(tiny, levels=(2, 3))
+    summary = high.run(FakeEvaluator(Ladder))
+    assert summary["levels"] == summary["levels_by_kind"] == {}
+    titles = [title for title, *_ in high.tables(summary)]
+    assert titles == ["Robots that cross, % of 3", "On flat ground in mode memory"]
+
+
 def test_dawns_sizes_are_walked_and_stated(tmp_path):
     """arXiv 2609.29092: stairs of 6 to 18 cm, gaps of 10 to 90 cm, steps of 10 to 54 cm."""
     walked = {}
@@ -146,6 +172,19 @@ def test_own_ground_takes_the_place_of_tiles(tmp_path):
     before = study.file_digests()
     np.save(file, np.zeros((81, 81)))
     assert study.file_digests() != before
+
+
+def test_the_files_that_a_scene_includes_are_part_of_its_digest(tmp_path):
+    scene = tmp_path / "scene.xml"
+    scene.write_text("<mujoco><include file='ground.xml'/></mujoco>")
+    ground = "<mujoco><worldbody><geom type='box' size='9 9 {}'/></worldbody></mujoco>"
+    (tmp_path / "ground.xml").write_text(ground.format(0.1))
+    study = replace(TINY["terrain"], out=tmp_path / "out", scene=scene)
+    digests = []
+    for height in (0.1, 0.1, 0.2):
+        (tmp_path / "ground.xml").write_text(ground.format(height))
+        digests.append(study.file_digests()["scene"])
+    assert digests[0] == digests[1] != digests[2]
 
 
 def test_a_scene_has_one_level(tmp_path):

@@ -36,7 +36,7 @@ class Senses:
     """[N, 12] rad/s, with noise."""
     depth: np.ndarray
     """[N, 48, 64] m, at most 2, top row first; a new image every 0.1 s, unless the camera fails.
-    The field of view is 87 by 58 degrees, from the mount of the adapter's bundle: on the Go1 30, on
+    The field of view is 66 by 52 degrees, from the mount of the adapter's bundle: on the Go1 30, on
     the Go2 23 degrees downward (`renet.camera.Intrinsics`, the robot's `MountCfg`)."""
     velocity: np.ndarray
     """[N, 3] m/s, base frame: the simulator's true velocity, which no robot measures. Empty unless

@@ -215,6 +215,9 @@ class AdaptedEvaluator(Evaluator):
         demand_name(f"adapter {adapter}: bundle", self.adapter.bundle, SHIPPED)
         super().__init__(pretrained(self.adapter.bundle), engine, conditions)
         self._path = path
+        own = adapter.endswith(".py")
+        self._source = read_bytes(Path(adapter), MAX_POLICY_SIZE, "adapter") if own else b""
+        """Content of a user's own adapter; empty for one that comes with renet."""
         if self.adapter.needs_velocity:
             self.privileged = ("velocity",)
         self._check()
@@ -282,7 +285,8 @@ class AdaptedEvaluator(Evaluator):
         """The provenance of numbers, with the name and the hash of the policy's file."""
         # The file stands in for a bundle's models and selector.
         digest = hashlib.sha256(read_bytes(self._path, MAX_POLICY_SIZE, "policy"))
-        # The same file behind another adapter is another policy.
+        # The same file behind another adapter, or a changed one, is another policy.
         digest.update(self.adapter.__name__.encode() + self.adapter.__module__.encode())
+        digest.update(self._source)
         name = self._path.stem
         return replace(super().provenance(seed), bundle=name, bundle_hash=digest.hexdigest())

@@ -6,11 +6,13 @@ in the folder traced of github.com/change-every/Extreme-Parkour-Onboard.
 
 Two things are not as in the source. The policy predicts headings of its own; here it is told the
 benchmark's, as its teacher is told those of its goals. And it sees what renet's Go2 sees, whose
-camera looks 23 degrees down; the config.json of those weights says 0 to 1 degree.
+camera looks 23 degrees down, where the config.json of those weights says 0 to 1 degree, and whose
+image is 66 degrees wide in place of 87: beyond it the depth of its border is repeated.
 """
 
 import numpy as np
 
+from renet.camera import Intrinsics
 from renet.evaluation.adapters import base
 from renet.evaluation.adapters.models import Model
 from renet.interface import DEPTH_RANGE, DEPTH_SHAPE, TURN_GAIN
@@ -32,12 +34,15 @@ _STEPS_PER_IMAGE = 5
 """Control steps from one run of the encoder to the next."""
 _LARGEST_ACTION = 1.2
 """Largest distance of a joint target from the pose, rad."""
-_CAMERA_ASPECT = 60 / 106
-"""Height over width of the policy's camera image, whose pixels are square."""
+_CAMERA_VIEW = np.radians(87.0)
+"""Angle that the policy's camera sees from left to right, rad."""
 
 
 def _weights(places: np.ndarray, size: int) -> np.ndarray:
-    """Linear interpolation of `size` values at places, in units of them: [places, size]."""
+    """Linear interpolation of `size` values at places, in units of them: [places, size].
+
+    Beyond the first and the last value these are repeated.
+    """
     unit_vectors = np.eye(size)
     return np.stack([np.interp(places, np.arange(size), unit) for unit in unit_vectors], axis=1)
 
@@ -45,19 +50,15 @@ def _weights(places: np.ndarray, size: int) -> np.ndarray:
 def _image_places() -> tuple[np.ndarray, np.ndarray]:
     """Rows [58] and columns [87] of our image, in pixels, that the policy's pixels show.
 
-    Its camera has 60 by 106 pixels, of which the lowest two rows and four columns at either side
-    are cut off, before the columns that are left are resized to 87. Both cameras see 87 degrees
-    from left to right, and ours sees 58 from top to bottom.
+    Its camera has 60 by 106 square pixels, of which the lowest two rows and four columns at either
+    side are cut off, before the columns that are left are resized to 87.
     """
-    height, width = DEPTH_SHAPE
-    half_width = np.tan(np.radians(87 / 2))
-    half_height = np.tan(np.radians(58 / 2))
     # Offsets of the pixels' centres from the image's, at a distance of 1 m.
-    down = (np.arange(58) + 0.5 - 30) / 30 * half_width * _CAMERA_ASPECT
-    right = ((np.arange(87) + 0.5) * 98 / 87 - 49) / 53 * half_width
-    rows = (down / half_height + 1) * height / 2 - 0.5
-    columns = (right / half_width + 1) * width / 2 - 0.5
-    return rows, columns
+    pixel = np.tan(_CAMERA_VIEW / 2) / 53
+    down = (np.arange(58) + 0.5 - 30) * pixel
+    right = ((np.arange(87) + 0.5) * 98 / 87 - 49) * pixel
+    lens = Intrinsics()
+    return lens.cy + lens.fy * down - 0.5, lens.cx + lens.fx * right - 0.5
 
 
 class Adapter(base.OffsetAdapter):

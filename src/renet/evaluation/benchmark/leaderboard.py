@@ -17,8 +17,10 @@ from renet.evaluation.benchmark.results import BENCHMARK_VERSION, read_result, r
 from renet.evaluation.benchmark.scores import (
     LEAST_TRAININGS,
     by_family,
+    crossed_shares,
     interval_over_trainings,
     lead,
+    score_interval,
     score_rows,
 )
 from renet.evaluation.metrics import share_interval
@@ -75,8 +77,8 @@ class LeaderboardEntry:
         if len(self.trainings) >= LEAST_TRAININGS:
             means = column(list(map(score_rows, self.trainings)), "score")
             return (*interval_over_trainings(means), f"{len(means)} trainings")
-        scores = self.scores
-        return scores["ci95_low"], scores["ci95_high"], "episodes"
+        # All trainings walk the same episodes, each of which counts once.
+        return (*score_interval(crossed_shares(_mean_rows(self))), "episodes")
 
 
 def make_leaderboard(cfg: LeaderboardCfg) -> Path:

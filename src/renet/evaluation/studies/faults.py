@@ -33,7 +33,8 @@ from renet.evaluation.trace import Trace
 from renet.faults import SEVERITIES, fault_class
 from renet.faults.physical import Glass
 from renet.interface import CONTROL_DT, STEPS_PER_TICK, Terrain, control_steps
-from renet.selector.calibration import decluster
+from renet.selector.calibration import decluster, lowest_in_a_row
+from renet.selector.monitors import MONITORS
 
 if TYPE_CHECKING:
     from renet.evaluation.env import SimEnv
@@ -302,7 +303,10 @@ class FaultStudy(WalkingStudy):
         for name, threshold in evaluator.thresholds.items():
             # A score that equals the threshold is an alarm, too.
             below = np.nextafter(threshold, -np.inf)
-            alarms[name] = sum(len(decluster(run, below)) for run in series[name])
+            # Some monitors need several scores in a row.
+            needed = MONITORS[name].in_a_row
+            lowest = [lowest_in_a_row(run, needed) for run in series[name]]
+            alarms[name] = sum(len(decluster(run, below)) for run in lowest)
         return {
             "false_switches": metrics.false_switches(trace.trusted, trace.failing),
             "robot_hours": metrics.healthy_hours(trace.failing),
@@ -485,9 +489,16 @@ def _mode_panels(
     tables = {}
     for mode, runs in modes.items():
         tables[mode] = dict(figures.mean_cells(runs, share, heading))
-    # Mode blind sees no fault: it needs one row only, at the foot of the others' tables.
-    blind = tables.pop("blind", {}) if len(tables) > 1 else {}
+    if "blind" not in modes or len(modes) == 1:
+        return tables
+    # Mode blind sees no fault: it needs one row only, at the foot of the others' tables, in which
+    # its walk on a ground counts once, however many faults are studied there.
+    del tables["blind"]
+    walks = {}
+    for run in modes["blind"]:
+        place = (run["ground"], run["onset"], run[heading])
+        walks[place] = run | {"fault": "blind, any fault"}
+    row = figures.mean_cells(list(walks.values()), share, heading)
     for table in tables.values():
-        for (_, name), cell in blind.items():
-            table["blind, any fault", name] = cell
+        table.update(row)
     return tables

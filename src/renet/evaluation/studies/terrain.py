@@ -21,6 +21,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import mujoco
 import numpy as np
 
 from renet.errors import RenetError
@@ -136,8 +137,17 @@ class TerrainStudy(WalkingStudy):
         """Hashes of the files of motors and ground, for parts' keys."""
         digests = super().file_digests()
         if self.scene is not None:
-            digests["scene"] = hashlib.sha256(self.scene.read_bytes()).hexdigest()
+            digests["scene"] = hashlib.sha256(self._scene_content(self.scene)).hexdigest()
         return digests
+
+    def _scene_content(self, file: Path) -> bytes:
+        """Content of the user's own ground, also of the files that an MJCF scene includes."""
+        ground = self.tiles[OWN_GROUND]
+        if not isinstance(ground, OwnScene):
+            return file.read_bytes()
+        content = np.zeros(mujoco.mj_sizeModel(ground.model), np.uint8)
+        mujoco.mj_saveModel(ground.model, None, content)
+        return content.tobytes()
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One batch for each kind of tile, and for the paper's table one on flat ground."""
@@ -253,13 +263,7 @@ class TerrainStudy(WalkingStudy):
 
     def _paper_table(self, parts: Mapping[str, Part]) -> dict[str, Any]:
         """Highest levels, collisions and the reward for speed of the first mode."""
-        first = [place for place, (_, mode) in enumerate(self.settings) if mode == self.modes[0]]
-        # Highest level of each robot, by kind.
-        highest = {}
-        levels_by_kind = {}
-        for kind in self.kinds:
-            highest[kind] = highest_level(np.array(parts[kind]["passed"], bool)[first])
-            levels_by_kind[kind] = float(highest[kind].mean())
+        highest = self._highest_levels(parts)
         levels = {}
         intervals = {}
         for heading, kinds in TABLE.items():
@@ -273,11 +277,25 @@ class TerrainStudy(WalkingStudy):
         return {
             "levels": levels,
             "levels_ci95": intervals,
-            "levels_by_kind": levels_by_kind,
+            "levels_by_kind": {kind: float(values.mean()) for kind, values in highest.items()},
             "collisions": sum(column(batches, "collisions")) / steps,
             "lin_vel_reward": sum(column(batches, "lin_vel_reward")) / steps,
             "falls_on_flat": parts["flat"]["falls"],
         }
+
+    def _highest_levels(self, parts: Mapping[str, Part]) -> dict[str, np.ndarray]:
+        """Highest level of each robot in the first mode, [R], by kind.
+
+        It is empty unless all levels from the first on are walked.
+        """
+        levels = sorted({level for level, _ in self.settings})
+        if levels != list(range(1, len(levels) + 1)):
+            return {}
+        places = [self.settings.index((level, self.modes[0])) for level in levels]
+        highest = {}
+        for kind in self.kinds:
+            highest[kind] = highest_level(np.array(parts[kind]["passed"], bool)[places])
+        return highest
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figure of the share of robots that cross, against the obstacle's size."""
@@ -298,8 +316,10 @@ class TerrainStudy(WalkingStudy):
         if not self.one_try and len(self.settings) > len(self.modes):
             levels = [(kind, f"{n:.2f}") for kind, n in summary["levels_by_kind"].items()]
             mode = self.modes[0]
-            title = f"Mean highest level of {LEVELS} in mode {mode}"
-            tables.append((title, ("tile", "level"), levels))
+            if levels:
+                count = len(self.settings) // len(self.modes)
+                title = f"Mean highest level of {count} in mode {mode}"
+                tables.append((title, ("tile", "level"), levels))
             flat = [(summary["robots"], summary["falls_on_flat"])]
             tables.append((f"On flat ground in mode {mode}", ("robots", "falls"), flat))
         if summary["worse"]:
