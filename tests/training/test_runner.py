@@ -15,7 +15,7 @@ from renet.training.algorithm import critic_observation
 from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
 from renet.training.runner import RenetRunner
 
-from .conftest import ONE_EPOCH, ToyEnv, make_runner
+from .conftest import ONE_EPOCH, ToyEnv, collect, make_runner
 
 
 @pytest.fixture
@@ -62,6 +62,26 @@ def test_resume_restores_everything(tmp_path):
         torch.testing.assert_close(tensors(first.alg), tensors(second.alg), atol=0, rtol=0)
     second.learn(1)
     assert [*read_curves(tmp_path / CURVES)["Loss/surrogate"]] == [0, 1, 2]
+
+
+def test_resumed_run_learns_as_if_it_had_not_stopped(tmp_path):
+    """From the same rollout, to the last bit: moments belong to the same weights as before."""
+    first = make_runner(ToyEnv(), tmp_path)
+    first.learn(2)
+    second = make_runner(ToyEnv(), tmp_path)
+    second.load(str(tmp_path))
+    # A resumed run begins with new episodes.
+    first.alg.memory.reset(torch.ones(8, dtype=torch.bool))
+    for runner in (first, second):
+        torch.manual_seed(5)
+        collect(runner.alg, ToyEnv(seed=3))
+        runner.alg.update()
+    for tensors in (
+        lambda alg: alg.model.state_dict(),
+        lambda alg: alg.average.module.state_dict(),
+        lambda alg: checkpoints.optimizer_tensors(alg.optimizers),
+    ):
+        torch.testing.assert_close(tensors(first.alg), tensors(second.alg), atol=0, rtol=0)
 
 
 def test_new_rate_and_weight_are_obeyed(tmp_path):
