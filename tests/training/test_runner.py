@@ -1,6 +1,7 @@
 """The loop: runs, stops on time, resumes the same curve, refuses what does not fit."""
 
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.tasks import make_env
+from renet.tasks.motors import MotorsCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import critic_observation
 from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
@@ -147,6 +149,18 @@ def test_refuses_weights_of_another_architecture(tmp_path):
 def test_impossible_settings_are_refused(make, message):
     with pytest.raises(RenetError, match=message):
         make()
+
+
+def test_motors_that_an_environment_does_not_have_are_refused():
+    """As by mjlab's own `train`, whose environments know nothing of delays."""
+    env = ToyEnv()
+    env.cfg = SimpleNamespace(motors=MotorsCfg())
+    make_runner(env)
+    env.cfg.motors.target_delay = (0.0, 0.02)
+    with pytest.raises(RenetError, match="mjlab's own train has ideal motors"):
+        make_runner(env)
+    env.motors = object()
+    make_runner(env)
 
 
 def test_batches_grow_with_the_steps_taken(runner):
