@@ -1,5 +1,6 @@
 """The loop: runs, stops on time, resumes the same curve, refuses what does not fit."""
 
+import math
 from dataclasses import asdict
 from types import SimpleNamespace
 
@@ -14,7 +15,13 @@ from renet.tasks import make_env
 from renet.tasks.motors import MotorsCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import critic_observation
-from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
+from renet.training.config import (
+    AdaptationCfg,
+    NP3OCfg,
+    RenetRunnerCfg,
+    SupervisionCfg,
+    WithholdingCfg,
+)
 from renet.training.runner import RenetRunner
 
 from .conftest import ONE_EPOCH, ToyEnv, collect, make_runner
@@ -138,6 +145,13 @@ def test_refuses_weights_of_another_architecture(tmp_path):
         (lambda: NP3OCfg(num_mini_batches=0), "num-mini-batches must be at least 1"),
         (lambda: SupervisionCfg(num_learning_epochs=0), "num-learning-epochs must be at least 1"),
         (lambda: AdaptationCfg(period=0), "period must be at least 1"),
+        (lambda: NP3OCfg(learning_rate=-1e-3), "learning_rate must be at least 0, got -0.001"),
+        (lambda: NP3OCfg(critic_learning_rate=math.nan), "critic_learning_rate must be at least 0"),
+        # Schedules at any time of a run.
+        (lambda: NP3OCfg(max_std="0.5@1M,0@2M"), "max_std must be above 0"),
+        (lambda: SupervisionCfg(learning_rate="0.001@1M,-1@2M"), "learning_rate must be at least"),
+        (lambda: WithholdingCfg(easier_shortest="0.3@1M,0@2M"), "easier_sight must exceed 0"),
+        (lambda: WithholdingCfg(easier_sight="4@1M,-1@2M,4@3M"), "easier_sight must exceed 0"),
         (lambda: ModelCfg(perception="vip"), "must be one of renet, vp, op, oracle"),  # type: ignore[arg-type]
         (lambda: ModelCfg(encoder="lstm"), "must be one of attention, mlp"),  # type: ignore[arg-type]
         (lambda: ModelCfg(initial_std=0.0), "initial_std must be above 0"),
