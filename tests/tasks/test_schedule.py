@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.tasks.schedule import value_at
+from renet.tasks.schedule import lowest, value_at
 
 
 @pytest.mark.parametrize(
@@ -20,6 +20,11 @@ def test_linear_between_points_and_constant_outside(steps, value):
 @given(value=st.floats(-1e6, 1e6), steps=st.floats(0, 1e12))
 def test_number_is_constant(value, steps):
     assert value_at(value, steps) == value_at(str(value), steps) == pytest.approx(value)
+
+
+def test_lowest_is_of_all_times():
+    assert lowest("3@500,-2@1k,1@1M") == -2.0
+    assert lowest(0.5) == 0.5
 
 
 def test_what_is_no_schedule_is_refused():

@@ -310,6 +310,22 @@ def test_robots_stay_on_their_tiles_in_a_run_that_goes_on(build):
     assert torch.equal(types[1:], begun[1:])
 
 
+def test_a_run_goes_on_without_levels_and_kinds_that_it_had(build):
+    """As with fewer levels, or without the ground of one's own."""
+    env = build(TASK, 24)
+    terrain = env.scene.terrain
+    levels, kinds = terrain.terrain_origins.shape[:2]
+    begun = terrain.terrain_types.clone()
+    state = {name: value.clone() for name, value in curriculum_state(env).items()}
+    state["kinds"][0] = kinds
+    state["levels"][1:3] = torch.tensor([levels + 4, levels - 2])
+    load_curriculum_state(env, state, steps=0)
+    assert torch.equal(terrain.terrain_types, begun)
+    assert terrain.terrain_levels.max() == levels - 1
+    origins = terrain.terrain_origins[terrain.terrain_levels, begun]
+    assert torch.equal(terrain.env_origins, origins)
+
+
 def test_recipe_ends_with_more_robots_at_gaps_and_fewer_on_rough_ground(build):
     env = build(TASK, 24)
     terrain = env.scene.terrain

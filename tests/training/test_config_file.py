@@ -38,6 +38,7 @@ def file(tmp_path):
 
 def test_what_a_run_wrote_gives_the_same_run(file):
     asked = ["--agent.algorithm.lam", "0.7", "--env.rewards.yaw.weight", "0.25", "--seed", "7"]
+    asked += ["--env.motors.no-load-speed", "(0.9,1.4)"]
     first = run_of(TASK, *asked, "--num-envs", "24")
     again = run_of(*file(written(first)))
     assert written(again) == written(first)

@@ -1,7 +1,9 @@
 """Curves on disk."""
 
+import os
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
@@ -112,6 +114,16 @@ def test_curves_go_to_wandb(tmp_path, monkeypatch):
     (log,) = (tmp_path / "wandb").glob("offline-run-*/*.wandb")
     assert b"surrogate" in log.read_bytes()
     assert [*read_curves(tmp_path / CURVES)["Loss/surrogate"]] == [0, 1]
+
+
+def test_tags_go_to_wandb(tmp_path, monkeypatch):
+    begun = []
+    log = SimpleNamespace(log=lambda *_, **__: None, config={}, finish=lambda: None)
+    fake = SimpleNamespace(run=None, init=lambda **_: begun.append(os.environ["WANDB_TAGS"]) or log)
+    monkeypatch.setitem(sys.modules, "wandb", fake)
+    monkeypatch.setenv("WANDB_TAGS", "")
+    make_runner(ToyEnv(), tmp_path, logger="wandb", wandb_tags=("ours", "first")).learn(1)
+    assert begun == ["first,ours"]
 
 
 def test_missing_wandb_is_named(tmp_path, monkeypatch):

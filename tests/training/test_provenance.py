@@ -92,6 +92,9 @@ def test_numbers_out_of_bounds_are_named(registered, stored, name, value):
         ("env.commands.goal.speed", [0.1, 0.7]),
         ("agent.algorithm.entropy", "0.003@10M,0.001@60M"),
         ("agent.model.history", 1),
+        # These are None in the task.
+        ("agent.num_steps_per_env", 40),
+        ("env.motors.no_load_speed", [0.9, 1.4]),
     ],
 )
 def test_what_shapes_the_policy_comes_back(registered, stored, name, value):
@@ -100,3 +103,13 @@ def test_what_shapes_the_policy_comes_back(registered, stored, name, value):
     cfg = restore(getattr(registered, part), stored[part], part)
     got = get(cfg, name.split(".", 1)[1])
     assert (list(got) if isinstance(got, tuple) else got) == value
+
+
+def test_a_schedule_comes_back_where_the_task_has_none():
+    """The paper's task has no limit of the noise; a text that is no schedule may be a path."""
+    paper = TrainCfg.from_task(f"{TASK}-Paper").agent
+    assert paper.algorithm.max_std is None
+    for value, expected in (("0.5@12M,0.2@40M", "0.5@12M,0.2@40M"), ("../elsewhere", None)):
+        stored = to_json(paper)
+        put(stored, "algorithm.max_std", value)
+        assert restore(paper, stored, "agent").algorithm.max_std == expected

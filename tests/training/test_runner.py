@@ -1,6 +1,8 @@
 """The loop: runs, stops on time, resumes the same curve, refuses what does not fit."""
 
+import math
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -10,12 +12,19 @@ from renet.curves import CURVES, read_curves
 from renet.errors import RenetError
 from renet.models.config import ModelCfg
 from renet.tasks import make_env
+from renet.tasks.motors import MotorsCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.algorithm import critic_observation
-from renet.training.config import AdaptationCfg, NP3OCfg, RenetRunnerCfg, SupervisionCfg
+from renet.training.config import (
+    AdaptationCfg,
+    NP3OCfg,
+    RenetRunnerCfg,
+    SupervisionCfg,
+    WithholdingCfg,
+)
 from renet.training.runner import RenetRunner
 
-from .conftest import ONE_EPOCH, ToyEnv, make_runner
+from .conftest import ONE_EPOCH, ToyEnv, collect, make_runner
 
 
 @pytest.fixture
@@ -62,6 +71,26 @@ def test_resume_restores_everything(tmp_path):
         torch.testing.assert_close(tensors(first.alg), tensors(second.alg), atol=0, rtol=0)
     second.learn(1)
     assert [*read_curves(tmp_path / CURVES)["Loss/surrogate"]] == [0, 1, 2]
+
+
+def test_resumed_run_learns_as_if_it_had_not_stopped(tmp_path):
+    """From the same rollout, to the last bit: moments belong to the same weights as before."""
+    first = make_runner(ToyEnv(), tmp_path)
+    first.learn(2)
+    second = make_runner(ToyEnv(), tmp_path)
+    second.load(str(tmp_path))
+    # A resumed run begins with new episodes.
+    first.alg.memory.reset(torch.ones(8, dtype=torch.bool))
+    for runner in (first, second):
+        torch.manual_seed(5)
+        collect(runner.alg, ToyEnv(seed=3))
+        runner.alg.update()
+    for tensors in (
+        lambda alg: alg.model.state_dict(),
+        lambda alg: alg.average.module.state_dict(),
+        lambda alg: checkpoints.optimizer_tensors(alg.optimizers),
+    ):
+        torch.testing.assert_close(tensors(first.alg), tensors(second.alg), atol=0, rtol=0)
 
 
 def test_new_rate_and_weight_are_obeyed(tmp_path):
@@ -116,6 +145,13 @@ def test_refuses_weights_of_another_architecture(tmp_path):
         (lambda: NP3OCfg(num_mini_batches=0), "num-mini-batches must be at least 1"),
         (lambda: SupervisionCfg(num_learning_epochs=0), "num-learning-epochs must be at least 1"),
         (lambda: AdaptationCfg(period=0), "period must be at least 1"),
+        (lambda: NP3OCfg(learning_rate=-1e-3), "learning_rate must be at least 0, got -0.001"),
+        (lambda: NP3OCfg(critic_learning_rate=math.nan), "critic_learning_rate must be at least 0"),
+        # Schedules at any time of a run.
+        (lambda: NP3OCfg(max_std="0.5@1M,0@2M"), "max_std must be above 0"),
+        (lambda: SupervisionCfg(learning_rate="0.001@1M,-1@2M"), "learning_rate must be at least"),
+        (lambda: WithholdingCfg(easier_shortest="0.3@1M,0@2M"), "easier_sight must exceed 0"),
+        (lambda: WithholdingCfg(easier_sight="4@1M,-1@2M,4@3M"), "easier_sight must exceed 0"),
         (lambda: ModelCfg(perception="vip"), "must be one of renet, vp, op, oracle"),  # type: ignore[arg-type]
         (lambda: ModelCfg(encoder="lstm"), "must be one of attention, mlp"),  # type: ignore[arg-type]
         (lambda: ModelCfg(initial_std=0.0), "initial_std must be above 0"),
@@ -127,6 +163,18 @@ def test_refuses_weights_of_another_architecture(tmp_path):
 def test_impossible_settings_are_refused(make, message):
     with pytest.raises(RenetError, match=message):
         make()
+
+
+def test_motors_that_an_environment_does_not_have_are_refused():
+    """As by mjlab's own `train`, whose environments know nothing of delays."""
+    env = ToyEnv()
+    env.cfg = SimpleNamespace(motors=MotorsCfg())
+    make_runner(env)
+    env.cfg.motors.target_delay = (0.0, 0.02)
+    with pytest.raises(RenetError, match="mjlab's own train has ideal motors"):
+        make_runner(env)
+    env.motors = object()
+    make_runner(env)
 
 
 def test_batches_grow_with_the_steps_taken(runner):

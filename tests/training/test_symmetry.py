@@ -1,9 +1,14 @@
 """Memories of mirrored robots, beside those of the robots themselves."""
 
+from types import SimpleNamespace
+
+import pytest
 import torch
 from tensordict import TensorDict
 
+from renet.errors import RenetError
 from renet.models.symmetry import Mirror
+from renet.tasks.mdp.commands import GoalCommandCfg
 from renet.training.config import NP3OCfg, WithholdingCfg
 
 from .conftest import ToyEnv, collect, make_runner
@@ -48,3 +53,14 @@ def test_without_the_loss_no_second_memory_runs():
     assert alg.mirrored_memory is None
     assert alg._rollout.mirrored_latent.numel() == 0
     assert "mirror" not in alg.update()
+
+
+def test_a_loss_needs_twists():
+    """In the mirror a heading would lie behind the robot that it lies ahead of."""
+    env = ToyEnv()
+    env.cfg = SimpleNamespace(commands={"goal": GoalCommandCfg(told="heading")})
+    make_runner(env)
+    with pytest.raises(RenetError, match="needs robots that are told twists"):
+        make_runner(env, algorithm=NP3OCfg(mirror_loss=0.3))
+    env.cfg.commands["goal"].told = "twist"
+    make_runner(env, algorithm=NP3OCfg(mirror_loss=0.3))

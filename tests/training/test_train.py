@@ -65,6 +65,22 @@ def test_another_task_leaves_old_run(finished, tmp_path, capsys):
         train(cfg(tmp_path, "Renet-Go1-Parkour", resume="latest", max_iterations=2))
 
 
+def test_latest_is_the_run_whose_settings_are_restored(finished, tmp_path):
+    """Not one of another experiment."""
+    for experiment in ("Renet-Go1-Flat", "mine"):
+        shutil.copytree(finished, tmp_path / experiment / finished.name)
+    mine = cfg(tmp_path, resume="latest", experiment_name="mine", max_iterations=2)
+    path, _ = training.checkpoint_of(mine)
+    assert path.is_relative_to(tmp_path / "Renet-Go1-Flat")
+
+
+def test_resume_of_mjlab_is_refused(tmp_path):
+    small = cfg(tmp_path)
+    with pytest.raises(RenetError, match="of mjlab's own train"):
+        train(replace(small, agent=replace(small.agent, resume=True)))
+    assert not list(tmp_path.iterdir())
+
+
 def test_older_checkpoint_branches_off(tmp_path):
     folder = tmp_path / "task" / "run" / "checkpoints"
     old, new = (checkpoints.save(Checkpoint({}, {}, {}), folder, it, keep=9) for it in (5, 9))

@@ -29,6 +29,11 @@ def value_at(schedule: Schedule, steps: float) -> float:
     return float(np.interp(steps, *_points(str(schedule))))
 
 
+def lowest(schedule: Schedule) -> float:
+    """Return the smallest value that a schedule ever has; raises as `value_at` does."""
+    return min(_points(str(schedule))[1])
+
+
 @lru_cache(maxsize=256)
 def _points(schedule: str) -> tuple[list[float], list[float]]:
     """Parse a schedule to steps and values of all points; raises as `value_at` does."""

@@ -21,6 +21,7 @@ from renet.models.renet import RENet
 from renet.models.symmetry import Mirror
 from renet.sim.native.engine import NativeSimulation
 from renet.sim.overflow import OverflowWatch
+from renet.tasks.mdp.commands import COMMAND
 from renet.training import distributed
 from renet.training.average import WeightAverage
 from renet.training.config import AdaptationCfg, NP3OCfg, SupervisionCfg, WithholdingCfg, from_dict
@@ -102,7 +103,8 @@ class RenetAlgorithm:
         """Build model and algorithm from rsl_rl's dictionary.
 
         Raises:
-            RenetError: The task lacks an observation group, or the dictionary has an unknown key.
+            RenetError: The task lacks an observation group, its commands have no mirror image that
+                the mirror loss could use, or the dictionary has an unknown key.
         """
         needed = (*CRITIC_GROUPS, *VPEstimator.quantities, "proprioception", "depth", "difficult")
         groups = dict.fromkeys(needed)
@@ -110,6 +112,13 @@ class RenetAlgorithm:
             raise RenetError(
                 f"the task lacks the observation groups {', '.join(missing)}: RENet trains on "
                 "tasks built like renet.tasks (Renet-Go1-Flat, Renet-Go1-Parkour)"
+            )
+        commands = getattr(env.unwrapped.cfg, "commands", {})
+        told = getattr(commands.get(COMMAND), "told", None)
+        if cfg["algorithm"]["mirror_loss"] and told == "heading":
+            raise RenetError(
+                "the mirror loss needs robots that are told twists, and those of this task are "
+                f"told headings: add --env.commands.{COMMAND}.told twist, or leave it out"
             )
         # The mask of OP, and with withholding the age of the image (see `_perception`).
         columns = 2 if cfg["withholding"]["share"] else 1

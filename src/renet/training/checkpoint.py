@@ -277,3 +277,16 @@ def load_optimizers(optimizers: dict[str, Optimizer], tensors: dict[str, Tensor]
         state = optimizer.state_dict()
         state["state"] = moments[owner]
         optimizer.load_state_dict(state)
+        _follow_layouts(optimizer)
+
+
+def _follow_layouts(optimizer: Optimizer) -> None:
+    """Give moments the memory layouts of their parameters, which files do not keep.
+
+    Fused Adam takes numbers as they lie in memory: moments of a convolution in another layout would
+    belong to other weights of it.
+    """
+    for parameter, moments in optimizer.state.items():
+        for name, value in moments.items():
+            if value.shape == parameter.shape:
+                moments[name] = torch.empty_like(parameter).copy_(value)

@@ -12,7 +12,7 @@ from renet.errors import RenetError
 from renet.interface import STEPS_PER_TICK
 from renet.models.config import ModelCfg
 from renet.tasks.entity import ACTION_CLIP
-from renet.tasks.schedule import Schedule, value_at
+from renet.tasks.schedule import Schedule, lowest, value_at
 from renet.training.precision import Precision
 
 _T = TypeVar("_T")
@@ -74,9 +74,13 @@ class NP3OCfg:
 
     def __post_init__(self) -> None:
         _check_positive(self, "num_learning_epochs", "num_mini_batches")
+        for name in ("learning_rate", "critic_learning_rate"):
+            # False for NaN, too.
+            if not getattr(self, name) >= 0.0:
+                raise RenetError(f"algorithm.{name} must be at least 0, got {getattr(self, name)}")
         for schedule in (self.desired_kl, self.entropy, *self.cost_budget):
             value_at(schedule, 0.0)
-        if self.max_std is not None and not value_at(self.max_std, 0.0) > 0.0:
+        if self.max_std is not None and not lowest(self.max_std) > 0.0:
             raise RenetError(f"algorithm.max_std must be above 0, got {self.max_std}")
 
 
@@ -104,7 +108,10 @@ class SupervisionCfg:
 
     def __post_init__(self) -> None:
         _check_positive(self, "num_learning_epochs", "num_mini_batches", "autoencoder_images")
-        value_at(self.learning_rate, 0.0)
+        if lowest(self.learning_rate) < 0.0:
+            raise RenetError(
+                f"supervision.learning_rate must be at least 0, got {self.learning_rate}"
+            )
 
 
 @dataclass
@@ -145,7 +152,7 @@ class WithholdingCfg:
             )
         if not self.sight > 0.0:
             raise RenetError(f"withholding.sight must be above 0 s, got {self.sight}")
-        if not min(value_at(self.easier_shortest, 0.0), value_at(self.easier_sight, 0.0)) > 0.0:
+        if not min(lowest(self.easier_shortest), lowest(self.easier_sight)) > 0.0:
             raise RenetError("withholding.easier_shortest, withholding.easier_sight must exceed 0")
 
 

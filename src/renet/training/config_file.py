@@ -162,7 +162,9 @@ def _leaf(value: Any, stored: Any, name: str) -> Any:
     """Return the file's value of a number, a text or a sequence of them."""
     if isinstance(value, Path):
         return Path(_checked(stored, str, name))
-    if value is None or isinstance(value, PLAIN):
+    if value is None:
+        return to_tuples(stored)
+    if isinstance(value, PLAIN):
         return stored
     if isinstance(value, list | tuple | set) and isinstance(stored, list):
         return type(value)(map(to_tuples, stored))

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from renet.errors import RenetError
 from renet.tasks.env import RenetEnvCfg
+from renet.tasks.schedule import value_at
 from renet.training.config import RenetRunnerCfg
 
 _T = TypeVar("_T")
@@ -192,6 +193,9 @@ def restore(value: _T, stored: Any, name: str) -> _T:
         result = replace(value, **changes)
     elif isinstance(stored, list) and isinstance(value, list | tuple):
         result = _restore_sequence(value, stored, name)
+    elif value is None:
+        if _can_be_set(stored) and is_allowed(stored, name):
+            result = to_tuples(stored)
     elif _is_plain(value, stored) and is_allowed(stored, name):
         result = stored
     return result
@@ -214,10 +218,23 @@ def _restore_sequence(value: Any, stored: list[Any], name: str) -> Any:
     return type(value)(items)
 
 
+def _can_be_set(stored: Any) -> bool:
+    """Return True if a setting that is None may take a stored value.
+
+    These are numbers, lists of them, and schedules. Any other text may be a path.
+    """
+    if isinstance(stored, str):
+        try:
+            value_at(stored, 0.0)
+        except RenetError:
+            return False
+        return True
+    items = stored if isinstance(stored, list) else [stored]
+    return all(isinstance(item, bool | int | float) for item in items)
+
+
 def _is_plain(value: Any, stored: Any) -> bool:
     """Return True if a setting and its stored value are plain: numbers, texts, or None."""
-    if value is None:
-        return isinstance(stored, bool | int | float)
     return isinstance(value, PLAIN) and (stored is None or isinstance(stored, PLAIN))
 
 

@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 import torch.distributed as dist
+from mjlab.utils.wandb import add_wandb_tags
 from rsl_rl.env import VecEnv
 from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
@@ -46,6 +47,13 @@ class RenetRunner(OnPolicyRunner):
         log_dir: str | None = None,
         device: str = "cpu",
     ) -> None:
+        task = cast(Any, env).unwrapped
+        motors = getattr(task.cfg, "motors", None)
+        if motors is not None and not motors.ideal and not hasattr(task, "motors"):
+            raise RenetError(
+                "mjlab's own train has ideal motors, and this task has others (--env.motors): "
+                "train it by `renet train`"
+            )
         if not device.startswith("cuda"):
             keep_freed_memory()
             multiply_by_onednn()
@@ -127,6 +135,7 @@ class RenetRunner(OnPolicyRunner):
 
     def open_log(self) -> None:
         """Open the files of the curves, if the run has a folder."""
+        add_wandb_tags(self._agent["wandb_tags"])
         # Anew for each call: rsl_rl removes the class name from the dictionary.
         self.cfg["logger"] = {
             "class_name": "renet.training.metrics:CurvesWriter",

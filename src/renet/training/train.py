@@ -348,9 +348,12 @@ def checkpoint_of(cfg: TrainCfg) -> tuple[Path | None, dict[str, Any]]:
     Raises:
         RenetError: There is no checkpoint, or its run has finished all iterations.
     """
+    if cfg.agent.resume:
+        raise RenetError("--agent.resume is of mjlab's own train: write --resume RUN, or latest")
     if cfg.resume is None:
         return None, {}
-    path = checkpoints.find(resumed_folder(cfg.resume, cfg.log_root, cfg.agent.experiment_name))
+    # By the same task as the settings in `TrainCfg.defaults`.
+    path = checkpoints.find(resumed_folder(cfg.resume, cfg.log_root, cfg.task))
     state = checkpoints.load_state(path)
     if state.get("iteration", 0) >= cfg.agent.max_iterations:
         raise RenetError(

@@ -327,7 +327,8 @@ def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], step
     """Restore the state that `curriculum_state` collected.
 
     If the numbers of robots on the kinds of tile are not those of the state, each robot takes the
-    level of a random robot of the state on the same kind of tile.
+    level of a random robot of the state on the same kind of tile. The highest level there is takes
+    the place of levels above it.
 
     Args:
         env: The environment.
@@ -345,8 +346,10 @@ def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], step
     terrain = tile_terrain(env)
     kinds = state["kinds"].to(env.device)
 
-    # Robots that went to other kinds of tile stay there.
-    if "tile_shares" in terms and len(kinds) == env.num_envs:
+    # Robots that went to other kinds of tile stay there, unless there are fewer kinds now.
+    num_levels, num_kinds = terrain.terrain_origins.shape[:2]
+    has_kinds = bool((kinds < num_kinds).all())
+    if "tile_shares" in terms and len(kinds) == env.num_envs and has_kinds:
         terrain.terrain_types[:] = kinds
 
     # For each robot, a robot of the state on the same kind of tile.
@@ -363,6 +366,8 @@ def load_curriculum_state(env: ManagerBasedRlEnv, state: dict[str, Tensor], step
     for name in ("levels", "passed"):
         if name in state:
             getattr(term, name)[known] = state[name].to(env.device)[source[known]]
+    # There may be fewer levels now, too.
+    term.levels.clamp_(max=num_levels - 1)
     terrain.terrain_levels[:] = term.levels
     terrain.env_origins[:] = terrain.terrain_origins[term.levels, terrain.terrain_types]
 
