@@ -118,12 +118,15 @@ def test_too_short_walks_and_a_forged_log_are_refused(flight, bundle, monkeypatc
         monkeypatch.setattr(calibration_log, "MIN_MINUTES", 0.0)
 
 
-def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, tmp_path):
+def test_other_models_injected_faults_and_dry_runs_are_refused(log, bundle, bundle_path, tmp_path):
     with pytest.raises(RenetError, match="made with other models"):
         recorded_scores((log,), Bundle.load(bundle_path))
     spoilt = deploy(DeployCfg(bundle, seconds=0.1, fault=("blackout@5s",), out=tmp_path))
     with pytest.raises(RenetError, match="injected faults"):
         recorded_scores((spoilt / "recording.mcap",), Bundle.load(bundle))
+    dry = deploy(DeployCfg(bundle, seconds=0.1, dry_run=True, out=tmp_path))
+    with pytest.raises(RenetError, match=r"\.mcap is of a dry run, in which nothing walked"):
+        recorded_scores((dry / "recording.mcap",), Bundle.load(bundle))
     short = deploy(DeployCfg(bundle, seconds=0.1, out=tmp_path))
     with pytest.raises(RenetError, match="no walk with a camera"):
         recorded_scores((short / "recording.mcap",), Bundle.load(bundle))

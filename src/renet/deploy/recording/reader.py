@@ -65,6 +65,7 @@ class Header(TypedDict, total=False):
     unseen: str
     terrain: str | None
     level: Number | None
+    dry_run: bool
     onsets: list[Number]
     fault: list[str]
     thresholds: dict[str, Number]
