@@ -189,6 +189,29 @@ def test_what_a_device_complains_of_is_told_once(bundle, tmp_path):
     assert told.count(("camera", "connect it by USB 3")) == 2, "before and after"
 
 
+def test_a_braked_robot_that_takes_no_commands_is_told_once(bundle):
+    """As a process that died while nobody wanted to stand up, which leaves the robot limp."""
+    robot, events = Standing(), []
+    obey = robot.write
+    robot.write = lambda command: boom() if 0.2 < robot.time < 0.4 else obey(command)
+    controller = Controller(bundle, BRISK, on_event=events.append)
+    hand = SimpleNamespace(command=lambda now: TeleopCommand(arm=now > 0.6))
+    run_control_loop(robot, None, hand, controller, done=lambda: robot.time > 0.8)
+    reason = "the robot takes no commands: unplugged"
+    assert [event.why for event in events if event.what == "robot"] == [reason]
+    assert [event.what for event in events if event.time > 0.5] == ["standing_up", "damping"]
+
+
+def test_a_walking_robot_that_takes_no_commands_is_told_once(bundle):
+    robot, events = Standing(), []
+    obey = robot.write
+    robot.write = lambda command: boom() if robot.time > 1.0 else obey(command)
+    controller = Controller(bundle, BRISK, on_event=events.append)
+    run_control_loop(robot, None, ScriptedTeleop(0.5), controller, done=lambda: robot.time > 1.5)
+    reason = "the robot takes no commands: unplugged"
+    assert [event.what for event in events if event.why == reason] == ["damping"]
+
+
 @pytest.mark.parametrize(
     ("reading", "teleop", "recording"),
     [
