@@ -87,7 +87,8 @@ class Decision:
     asked: Velocity
     """The operator's velocity within limits; zero unless walking."""
     followed: Velocity
-    """The same without what the policy cannot do, such as walking backward."""
+    """The same without what the policy cannot do, such as walking backward, and slower where
+    `--unseen` slows it."""
     told: np.ndarray
     """[3] command of the policy, see `interface.TOLD`; zero unless walking."""
     velocity_op: np.ndarray
@@ -243,6 +244,11 @@ class Controller:
         # The pilot drives a batch of robots: here it is one.
         observation = observe(state, self.robot, self._told, self._action)[None]
         step = self.pilot.step(observation, self._buffer.take(now), now)
+        if step.unseen[0]:
+            # The pilot may have slowed the robot in front of ground that it has not seen.
+            x, y, z = self.pilot.command[0].tolist()
+            self._told = (x, y, z)
+            self._steering.slow(self._told)
         if step.fallback:
             self.tell(now, "inference", f"{LATE}: this tick runs blind")
         if self.policy.op_lost[0]:

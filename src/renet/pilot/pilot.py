@@ -165,6 +165,9 @@ class Pilot:
         """True where a robot has not seen since it began without an image, [N] bool."""
         self._now = -math.inf
         """Time of the newest `step`, s."""
+        self.command = np.zeros((robots, 3))
+        """Command that the policy was told in the newest step, slowed in front of unseen ground,
+        [N, 3]."""
 
         # Conduct at the end of the ground that robots have seen.
         conducts = [unseen] * robots if isinstance(unseen, str) else list(unseen)
@@ -313,6 +316,7 @@ class Pilot:
         self._steps += 1
         policy: Any = self.policy
         observation = self._heed_unseen(observation)
+        self.command = observation[:, COMMAND_SLICE]
         gated = () if gate is None else (gate,)
         action = policy.step(observation, images.image, ~vision, *gated)
 
