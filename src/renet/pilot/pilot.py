@@ -233,6 +233,9 @@ class Pilot:
         self._check_time(now)
         observation = checked(observation, "observation", (self.num_robots, PROPRIOCEPTION_SIZE))
         images = image if isinstance(image, Images) else self._hold(image, now)
+        # A tick judges the images before the policy checks them.
+        if self.due and images.image is not None:
+            checked_depth(images.image, self.num_robots, policy.manifest.camera.range)
         self._now = now
         tick = self.due
         action = self.act(observation, images)
