@@ -21,7 +21,7 @@ from renet.deploy.teleop.base import TeleopCommand
 from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.interface import CONTROL_DT
 
-from .fakes import ARM, BRISK, Standing, robot_on
+from .fakes import ARM, BRISK, QUICK, Standing, live, robot_on
 
 pytestmark = pytest.mark.wall_clock
 
@@ -176,6 +176,20 @@ def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     whats = ["standing_up", "blind", "walking", "unseen", "damping"]
     assert [event.what for event in flight.events] == whats
     assert not flight.ticks["vision"].any()
+
+
+@pytest.mark.parametrize("dry_run", [True, False])
+def test_sensors_of_a_limp_robot_may_stand_still_in_a_dry_run(bundle, dry_run):
+    """Motors that hold a robot make all of them tremble; those of a dry run hold nothing."""
+    robot, events = Standing(), []
+    robot.read = lambda: replace(live(robot.time), joint_velocity=np.zeros(12))
+    options = {"on_event": events.append, "dry_run": dry_run}
+    controller = Controller(bundle, QUICK, **options)
+    devices: tuple = (robot, None, ScriptedTeleop(0.5), controller)
+    run_control_loop(*devices, done=lambda: robot.time > 1.0, dry_run=dry_run)
+    braked = next(event.why for event in events if event.what == "damping")
+    frozen = "frozen: 6 readings of the joints' speeds are the same"
+    assert braked == ("the run ends" if dry_run else frozen)
 
 
 def test_what_a_device_complains_of_is_told_once(bundle, tmp_path):

@@ -112,6 +112,7 @@ class Controller:
         mode: str = "memory",
         on_event: Callable[[Event], None] = lambda event: None,
         unseen: Unseen = "walk",
+        dry_run: bool = False,
     ) -> None:
         """Set up in DAMPING.
 
@@ -123,6 +124,7 @@ class Controller:
             mode: Mode of the pilot, see `interface.PilotMode`.
             on_event: Function that is called with every transition.
             unseen: Conduct of a robot that remembers at the end of the ground that it has seen.
+            dry_run: The commands are never sent: the robot is limp.
         """
         self.robot = bundle.manifest.robot
         self._camera = bundle.manifest.camera
@@ -135,7 +137,7 @@ class Controller:
         self.machine = SafetyMachine(safety)
         self._buffer = FrameBuffer()
         self._on_event = on_event
-        self._watch = BodyWatch(self.robot, safety)
+        self._watch = BodyWatch(self.robot, safety, limp=dry_run)
         self._start = np.array(self.robot.default_position)
         self._target = self._start
         self._steering = STEERINGS[bundle.manifest.told]()
