@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from renet.bundle import DEFAULT, Bundle, pretrained
+from renet.deploy.catalogue import ReplayCfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.recording import calibration_log
@@ -20,6 +21,8 @@ from renet.deploy.safety.machine import Mode
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
 from renet.selector import MONITORS
+
+from ..fakes import BRISK
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +119,22 @@ def test_too_short_walks_and_a_forged_log_are_refused(flight, bundle, monkeypatc
             run_calibrate(CalibrateCfg(bundle, log=(Path("forged.log"),)))
         assert (bundle / "manifest.json").read_bytes() == before
         monkeypatch.setattr(calibration_log, "MIN_MINUTES", 0.0)
+
+
+def test_a_run_that_was_shown_another_runs_images_is_refused(log, bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(calibration_log, "MIN_MINUTES", 0.0)
+    replayed = deploy(
+        DeployCfg(
+            bundle,
+            camera="replay",
+            camera_cfg=ReplayCfg(log),
+            safety=BRISK,
+            seconds=2.0,
+            out=tmp_path,
+        )
+    )
+    with pytest.raises(RenetError, match=r"recording\.mcap shows the images of an earlier run"):
+        recorded_scores((replayed / "recording.mcap",), Bundle.load(bundle))
 
 
 def test_other_models_injected_faults_and_dry_runs_are_refused(log, bundle, bundle_path, tmp_path):
