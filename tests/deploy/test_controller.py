@@ -281,6 +281,10 @@ def test_the_end_of_seen_ground_is_told_once(judging, unseen, told):
     conduct = {"walk": "it walks on", "stop": "it stops"}[unseen]
     assert events == [f"the ground that it saw ends half a metre ahead: {conduct}"]
     assert asked[-1] == pytest.approx(told)
+    decision = run.controller.decision
+    assert decision.told[0] == pytest.approx(told)
+    assert decision.followed.forward == pytest.approx(told)
+    assert decision.asked.forward == 0.6, "the operator's wish stays"
 
 
 @pytest.mark.parametrize(

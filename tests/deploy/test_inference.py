@@ -10,10 +10,11 @@ import pytest
 
 from renet.deploy.controller import LATE
 from renet.deploy.safety.machine import Mode
-from renet.interface import CONTROL_DT
+from renet.deploy.teleop.base import TeleopCommand
+from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.pilot.inference import ThreadedInference
 
-from .fakes import Run, frame, time_of, until
+from .fakes import ARM, WALKS_AT, Run, frame, time_of, until
 
 
 @pytest.fixture
@@ -81,6 +82,28 @@ def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(estimator, walk):
     assert not controller.decision.inferred, "its tick was made up for"
     inference.patience = 5.0
     assert all(walk.ticks(200)[-50:]), "vision comes back"
+
+
+def test_a_tick_that_a_brake_cut_off_does_not_blind_the_next_walk(estimator, walk):
+    """It is done long before the robot walks again, and of a walk that is over."""
+    controller, released = walk.controller, threading.Event()
+    inference = controller.policy.inference
+    inference.patience = 0.0
+    estimator.run.side_effect = lambda *arguments: released.wait(30) and DEFAULT
+    # A walk's ticks are its first step and every fifth one after it.
+    while (walk.step - WALKS_AT) % STEPS_PER_TICK:
+        walk.ticks(1)
+    walk.ticks(1)
+    assert not inference._tick.done()
+    walk.tick(teleop=TeleopCommand(stop=True))
+    released.set()
+    until(inference._tick.done)
+    inference.patience = 5.0
+    walk.events.clear()
+    walk.tick(teleop=ARM)
+    seen = walk.ticks(50)
+    assert walk.whats() == ["standing_up", "walking"], walk.events
+    assert seen[WALKS_AT:] == [True] * len(seen[WALKS_AT:])
 
 
 def test_the_loop_waits_for_less_than_half_a_period(bundle, monkeypatch):

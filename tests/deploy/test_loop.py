@@ -21,7 +21,7 @@ from renet.deploy.teleop.base import TeleopCommand
 from renet.deploy.teleop.scripted import ScriptedTeleop
 from renet.interface import CONTROL_DT
 
-from .fakes import ARM, BRISK, Standing, robot_on
+from .fakes import ARM, BRISK, QUICK, Standing, live, robot_on
 
 pytestmark = pytest.mark.wall_clock
 
@@ -178,6 +178,20 @@ def test_without_a_camera_it_walks_on_op_and_replays(bundle, tmp_path):
     assert not flight.ticks["vision"].any()
 
 
+@pytest.mark.parametrize("dry_run", [True, False])
+def test_sensors_of_a_limp_robot_may_stand_still_in_a_dry_run(bundle, dry_run):
+    """Motors that hold a robot make all of them tremble; those of a dry run hold nothing."""
+    robot, events = Standing(), []
+    robot.read = lambda: replace(live(robot.time), joint_velocity=np.zeros(12))
+    options = {"on_event": events.append, "dry_run": dry_run}
+    controller = Controller(bundle, QUICK, **options)
+    devices: tuple = (robot, None, ScriptedTeleop(0.5), controller)
+    run_control_loop(*devices, done=lambda: robot.time > 1.0, dry_run=dry_run)
+    braked = next(event.why for event in events if event.what == "damping")
+    frozen = "frozen: 6 readings of the joints' speeds are the same"
+    assert braked == ("the run ends" if dry_run else frozen)
+
+
 def test_what_a_device_complains_of_is_told_once(bundle, tmp_path):
     rig = Rig(bundle)
     rig.spoil("robot", "read", during(0.2, 0.3, boom))
@@ -187,6 +201,29 @@ def test_what_a_device_complains_of_is_told_once(bundle, tmp_path):
     assert told.count(("robot", "OSError: unplugged")) == 1
     assert told.count(("camera", "OSError: unplugged")) == 1
     assert told.count(("camera", "connect it by USB 3")) == 2, "before and after"
+
+
+def test_a_braked_robot_that_takes_no_commands_is_told_once(bundle):
+    """As a process that died while nobody wanted to stand up, which leaves the robot limp."""
+    robot, events = Standing(), []
+    obey = robot.write
+    robot.write = lambda command: boom() if 0.2 < robot.time < 0.4 else obey(command)
+    controller = Controller(bundle, BRISK, on_event=events.append)
+    hand = SimpleNamespace(command=lambda now: TeleopCommand(arm=now > 0.6))
+    run_control_loop(robot, None, hand, controller, done=lambda: robot.time > 0.8)
+    reason = "the robot takes no commands: unplugged"
+    assert [event.why for event in events if event.what == "robot"] == [reason]
+    assert [event.what for event in events if event.time > 0.5] == ["standing_up", "damping"]
+
+
+def test_a_walking_robot_that_takes_no_commands_is_told_once(bundle):
+    robot, events = Standing(), []
+    obey = robot.write
+    robot.write = lambda command: boom() if robot.time > 1.0 else obey(command)
+    controller = Controller(bundle, BRISK, on_event=events.append)
+    run_control_loop(robot, None, ScriptedTeleop(0.5), controller, done=lambda: robot.time > 1.5)
+    reason = "the robot takes no commands: unplugged"
+    assert [event.what for event in events if event.why == reason] == ["damping"]
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,7 @@ from renet.folders import lock
 from renet.interface import TRUNK
 from renet.robots import GO1, Motor, register_robot, robot
 
-from .fakes import BRISK
+from .fakes import BRISK, live
 
 pytestmark = pytest.mark.wall_clock
 
@@ -123,6 +123,15 @@ def test_nothing_is_printed_by_the_thread_that_drives_the_robot(tmp_path, monkey
         assert any(words in line for line in lines)
     assert printers
     assert threading.main_thread() not in printers
+
+
+def test_a_dry_run_and_its_replay_know_that_the_robot_is_limp(tmp_path, monkeypatch):
+    """Its joints stand still, which brakes a robot that motors hold."""
+    still = np.zeros(12)
+    monkeypatch.setattr(MujocoRobot, "read", lambda robot: live(robot.now(), joint_velocity=still))
+    flight = run(tmp_path, camera="none", dry_run=True)
+    assert flight.events[-1].why == "the run ends"
+    assert replay_error(flight, Bundle.load()) == 0.0
 
 
 def test_a_signal_brakes_and_saves_everything(tmp_path, monkeypatch):

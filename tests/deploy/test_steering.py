@@ -56,6 +56,15 @@ def test_a_policy_that_walks_ahead_alone_is_never_told_to_walk_back(heading):
     assert heading.followed == Velocity(turn_rate=0.5)
 
 
+def test_a_speed_that_the_pilot_slowed_is_the_one_followed(heading, twist):
+    heading.command(Velocity(0.6, 0.0, 0.5), 0.0)
+    heading.slow((0.3, 0.1, 0.995))
+    assert heading.followed == Velocity(0.3, 0.0, 0.5)
+    twist.command(Velocity(-0.6, 0.2, 0.5), 0.0)
+    twist.slow((-0.3, 0.1, 0.5))
+    assert twist.followed == Velocity(-0.3, 0.1, 0.5)
+
+
 def test_a_policy_that_is_told_a_velocity_follows_all_of_it(twist):
     twist.command(Velocity(-0.3, 0.1, 0.5), 0.0)
     assert twist.followed == Velocity(-0.3, 0.1, 0.5)

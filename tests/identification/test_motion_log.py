@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from renet.deploy.recording.channels import Topic
 from renet.deploy.recording.tick import GOOD, TICK_DTYPE
 from renet.errors import RenetError
 from renet.identification.motion_log import CsvCfg, read_motion_log
@@ -158,7 +159,7 @@ def test_bad_options(fields, message):
         CsvCfg(**fields).columns(CsvCfg(**fields).target)
 
 
-def recording(motion, **changes) -> bytes:
+def recording(motion, header=EMPTY, **changes) -> bytes:
     """A recording of 12 ticks, of which the first three only brake."""
     rows = np.zeros(12, TICK_DTYPE)
     rows["now"] = 5.0 + 0.02 * np.arange(12)
@@ -171,7 +172,7 @@ def recording(motion, **changes) -> bytes:
     rows["stiffness"][:3] = 0.0
     for name, (row, value) in changes.items():
         rows[name][row] = value
-    return recording_of(EMPTY, messages(rows))
+    return recording_of(header, messages(rows))
 
 
 @pytest.mark.parametrize(
@@ -202,4 +203,7 @@ def test_bad_recording(short, tmp_path):
         read_motion_log(path, CsvCfg(kp=(20.0,)))
     path.write_bytes(recording(short, stiffness=(slice(None), 0.0)))
     with pytest.raises(RenetError, match="no two of its ticks"):
+        read_motion_log(path, CsvCfg())
+    path.write_bytes(recording(short, [(Topic.RUN, b'{"dry_run": true}')]))
+    with pytest.raises(RenetError, match="of a dry run: its targets were never sent to the robot"):
         read_motion_log(path, CsvCfg())

@@ -212,6 +212,30 @@ def test_wrong_input_is_refused_in_one_line_and_changes_nothing(
 
 
 @pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.full((1, 48, 64), 850.0), "divide metres by 2 and clip"),
+        (np.full((1, 48, 64), np.nan), "the depth image contains NaN"),
+        (np.ones((1, 64, 48)), r"image has shape \(1, 64, 48\), expected \(1, 48, 64\)"),
+    ],
+)
+def test_wrong_images_with_ages_are_refused_and_change_nothing(shipped, image, message):
+    """The images of later ticks are judged, and blank ones withheld, as ever."""
+    pilot = Pilot.of(shipped)
+    untouched = Pilot.of(shipped)
+    whole = Images(ground(0), np.ones(1, bool), np.zeros(1), np.zeros(1))
+    with pytest.raises(RenetError, match=message):
+        pilot.step(STILL, replace(whole, image=image), 0.0)
+    for number in range(1, 20):
+        blank = replace(whole, image=np.full((1, 48, 64), 0.5), fresh=np.array([number % 5 == 1]))
+        for one in (pilot, untouched):
+            step = one.step(STILL, blank, number * CONTROL_DT)
+            assert step.state[0] != "sees"
+            assert not one.policy.has_image[0]
+        assert pilot.due == untouched.due
+
+
+@pytest.mark.parametrize(
     ("now", "message"),
     [
         (0.98, "the time now is 0.980 s, expected at least the 1.000 s of the step before"),

@@ -248,9 +248,15 @@ class Ros2Cfg(TeleopCfg):
         # A simulated robot can hurt nobody, and may run without a terminal.
         attended = not simulated or (sys.stdin is not None and sys.stdin.isatty())
         keys = KeyboardTeleop(math.inf) if attended else None
-        return Ros2Teleop(
-            self.topic, domain, self.ros_interface, deadman, keys=keys, rises=simulated
-        )
+        try:
+            return Ros2Teleop(
+                self.topic, domain, self.ros_interface, deadman, keys=keys, rises=simulated
+            )
+        except BaseException:
+            # Without an operator nobody else gives the terminal back.
+            if keys is not None:
+                keys.close()
+            raise
 
 
 ROBOTS: dict[str, type[DriverCfg]] = {"mujoco": SimulationCfg, "go1": Go1Cfg, "go2": Go2Cfg}

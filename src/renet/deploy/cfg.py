@@ -221,6 +221,7 @@ class DeployCfg:
             "robot": self.robot,
             "camera": self.camera,
             "teleop": self.teleop,
+            "dry_run": self.dry_run,
             "fault": list(self.fault),
             "onsets": [fault.onset * CONTROL_DT for fault in self.faults],
             "seed": self.seed,

@@ -87,7 +87,8 @@ class Decision:
     asked: Velocity
     """The operator's velocity within limits; zero unless walking."""
     followed: Velocity
-    """The same without what the policy cannot do, such as walking backward."""
+    """The same without what the policy cannot do, such as walking backward, and slower where
+    `--unseen` slows it."""
     told: np.ndarray
     """[3] command of the policy, see `interface.TOLD`; zero unless walking."""
     velocity_op: np.ndarray
@@ -111,6 +112,7 @@ class Controller:
         mode: str = "memory",
         on_event: Callable[[Event], None] = lambda event: None,
         unseen: Unseen = "walk",
+        dry_run: bool = False,
     ) -> None:
         """Set up in DAMPING.
 
@@ -122,6 +124,7 @@ class Controller:
             mode: Mode of the pilot, see `interface.PilotMode`.
             on_event: Function that is called with every transition.
             unseen: Conduct of a robot that remembers at the end of the ground that it has seen.
+            dry_run: The commands are never sent: the robot is limp.
         """
         self.robot = bundle.manifest.robot
         self._camera = bundle.manifest.camera
@@ -134,7 +137,7 @@ class Controller:
         self.machine = SafetyMachine(safety)
         self._buffer = FrameBuffer()
         self._on_event = on_event
-        self._watch = BodyWatch(self.robot, safety)
+        self._watch = BodyWatch(self.robot, safety, limp=dry_run)
         self._start = np.array(self.robot.default_position)
         self._target = self._start
         self._steering = STEERINGS[bundle.manifest.told]()
@@ -243,6 +246,11 @@ class Controller:
         # The pilot drives a batch of robots: here it is one.
         observation = observe(state, self.robot, self._told, self._action)[None]
         step = self.pilot.step(observation, self._buffer.take(now), now)
+        if step.unseen[0]:
+            # The pilot may have slowed the robot in front of ground that it has not seen.
+            x, y, z = self.pilot.command[0].tolist()
+            self._told = (x, y, z)
+            self._steering.slow(self._told)
         if step.fallback:
             self.tell(now, "inference", f"{LATE}: this tick runs blind")
         if self.policy.op_lost[0]:

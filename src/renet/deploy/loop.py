@@ -164,14 +164,18 @@ class _Loop:
         return TeleopCommand() if self._refused else wish
 
     def _write(self, command: JointCommand, state: RobotState | None, now: float) -> None:
-        """Command the robot, within its own limits; a refusal brakes."""
+        """Command the robot, within its own limits; a refusal brakes, and is told."""
         try:
             # After a step that took too long, the command's reading is too old to obey.
             if self.robot.now() - now > self.controller.cfg.max_gap:
                 command = damping_command(self.controller.robot, self.controller.cfg)
             self.robot.write(clamp(self.robot.description, command, state))
         except Exception as error:
-            self.controller.trip(f"{REFUSED}: {error}", now)
+            refusal = f"{REFUSED}: {error}"
+            self.controller.trip(refusal, now)
+            # The controller tells nothing of a robot that was braked for another reason.
+            if self.controller.machine.reason != refusal:
+                self._complain("robot", refusal)
 
     def _look_at_power(self, state: RobotState | None, now: float) -> None:
         """Warn of a battery or motors near their limits, and brake before they fail."""

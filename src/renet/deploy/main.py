@@ -118,7 +118,7 @@ class _Run:
             # vision's, which must not be the weaker one.
             inference = ThreadedInference if cfg.live else InlineInference
             self.controller = Controller(
-                self.bundle, cfg.limits, inference, cfg.mode, self.tell, cfg.unseen
+                self.bundle, cfg.limits, inference, cfg.mode, self.tell, cfg.unseen, cfg.dry_run
             )
             self.stack.callback(self.controller.close)
             with interruptible() as self.interrupted, watchdog(self.abort) as self.alive:

@@ -34,6 +34,10 @@ class Steering(ABC):
     def command(self, velocity: Velocity, heading: float) -> tuple[float, float, float]:
         """Return the policy's command for a velocity within limits and the robot's heading, rad."""
 
+    @abstractmethod
+    def slow(self, command: tuple[float, float, float]) -> None:
+        """Take over, into `followed`, the speed of the last command as the pilot has slowed it."""
+
 
 class HeadingSteering(Steering):
     """Steering of policies that are told (c_x, sin e, cos e), e the angle to the wished heading."""
@@ -46,6 +50,10 @@ class HeadingSteering(Steering):
         error = _lead(self._wished + CONTROL_DT * velocity.turn_rate, heading)
         self._wished = heading + error
         return self.followed.forward, math.sin(error), math.cos(error)
+
+    def slow(self, command: tuple[float, float, float]) -> None:
+        """Take over c_x."""
+        self.followed = self.followed._replace(forward=command[0])
 
 
 class TwistSteering(Steering):
@@ -74,6 +82,10 @@ class TwistSteering(Steering):
         error = _lead(self._wished, heading)
         self._wished = heading + error
         return forward, left, min(max(TURN_GAIN * error, -MAX_TURN), MAX_TURN)
+
+    def slow(self, command: tuple[float, float, float]) -> None:
+        """Take over v_x and v_y."""
+        self.followed = self.followed._replace(forward=command[0], left=command[1])
 
 
 STEERINGS: dict[Told, type[Steering]] = {

@@ -123,8 +123,8 @@ def read_motion_log(path: Path, csv: CsvCfg) -> MotionLog:
         csv: Names of the CSV file's columns.
 
     Raises:
-        RenetError: The file cannot be read, a column is missing, a value is not finite, time steps
-            are unequal, or gains are unknown or change.
+        RenetError: The file cannot be read or is of a dry run, a column is missing, a value is not
+            finite, time steps are unequal, or gains are unknown or change.
     """
     data = read_bytes(path, MAX_LOG, "log")
     sha256 = hashlib.sha256(data).hexdigest()
@@ -267,7 +267,10 @@ def _from_recording(path: Path, csv: CsvCfg, sha256: str) -> MotionLog:
     """Read the longest part of a recording that has constant gains, all readings and no gap."""
     if csv.kp or csv.kd:
         raise RenetError("it is a recording, which holds Kp and Kd: leave --kp and --kd out")
-    ticks = read_recording(path).ticks
+    run = read_recording(path)
+    if run.header.get("dry_run"):
+        raise RenetError("it is of a dry run: its targets were never sent to the robot")
+    ticks = run.ticks
     gains = np.concatenate([ticks["stiffness"], ticks["damping"]], axis=1)
     readings = [ticks[name] for name in ("joint_position", "joint_velocity", "position")]
     usable = (ticks["state"] == GOOD) & (ticks["stiffness"] > 0.0).all(axis=1)

@@ -35,6 +35,10 @@ class InlineInference:
         self._output = None
         return output
 
+    def reset(self) -> None:
+        """Drop the result of a tick of the past: it is never taken."""
+        self._output = None
+
     def close(self) -> None:
         """Stop inference; safe to call twice."""
 
@@ -60,7 +64,7 @@ class ThreadedInference(InlineInference):
         if self._tick is None:
             return True
         # A result that was not taken in time is late, even if it is here by now. The deadline is
-        # zero if a tick in line has replaced it already.
+        # zero if a tick in line has replaced it already, or after a reset.
         late = self._deadline > 0.0
         self._deadline = 0.0
         done = self._tick.done()
@@ -85,6 +89,13 @@ class ThreadedInference(InlineInference):
             return None
         self._tick = None
         return output
+
+    def reset(self) -> None:
+        """Drop the result of a tick of the past: it is never taken, and not late once it is done.
+
+        As long as it is not done, `ready` returns False.
+        """
+        self._deadline = 0.0
 
     def close(self) -> None:
         """Stop the thread."""

@@ -165,6 +165,9 @@ class Pilot:
         """True where a robot has not seen since it began without an image, [N] bool."""
         self._now = -math.inf
         """Time of the newest `step`, s."""
+        self.command = np.zeros((robots, 3))
+        """Command that the policy was told in the newest step, slowed in front of unseen ground,
+        [N, 3]."""
 
         # Conduct at the end of the ground that robots have seen.
         conducts = [unseen] * robots if isinstance(unseen, str) else list(unseen)
@@ -230,6 +233,9 @@ class Pilot:
         self._check_time(now)
         observation = checked(observation, "observation", (self.num_robots, PROPRIOCEPTION_SIZE))
         images = image if isinstance(image, Images) else self._hold(image, now)
+        # A tick judges the images before the policy checks them.
+        if self.due and images.image is not None:
+            checked_depth(images.image, self.num_robots, policy.manifest.camera.range)
         self._now = now
         tick = self.due
         action = self.act(observation, images)
@@ -313,6 +319,7 @@ class Pilot:
         self._steps += 1
         policy: Any = self.policy
         observation = self._heed_unseen(observation)
+        self.command = observation[:, COMMAND_SLICE]
         gated = () if gate is None else (gate,)
         action = policy.step(observation, images.image, ~vision, *gated)
 

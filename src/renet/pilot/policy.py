@@ -145,6 +145,7 @@ class BundlePolicy:
             self._step = 0
             self._driven = None
             self.fallback = False
+            self.inference.reset()
         rows = slice(None) if mask is None else np.asarray(mask, bool)
         for name in ("latent_op", "latent_vp", MAP_ERROR, "evidence", *SCORES):
             # Into a copy, because a tick on another thread may still read the old array.

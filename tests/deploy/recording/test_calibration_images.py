@@ -106,6 +106,12 @@ def test_images_of_a_camera_upside_down_are_turned(folder):
             {},
             "00003.png has colours",
         ),
+        # Numbers of colours in a palette, which are one channel, too.
+        (
+            lambda folder: Image.new("P", (640, 480), 7).save(folder / "00003.png"),
+            {},
+            "00003.png has colours",
+        ),
         (
             lambda folder: Image.new("I;16", (64, 48)).save(folder / "00003.png"),
             {},

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from renet.bundle import DEFAULT, Bundle, pretrained
+from renet.deploy.catalogue import ReplayCfg
 from renet.deploy.cfg import DeployCfg
 from renet.deploy.main import deploy
 from renet.deploy.recording import calibration_log
@@ -20,6 +21,8 @@ from renet.deploy.safety.machine import Mode
 from renet.errors import RenetError
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
 from renet.selector import MONITORS
+
+from ..fakes import BRISK
 
 
 @pytest.fixture(scope="module")
@@ -118,12 +121,31 @@ def test_too_short_walks_and_a_forged_log_are_refused(flight, bundle, monkeypatc
         monkeypatch.setattr(calibration_log, "MIN_MINUTES", 0.0)
 
 
-def test_other_models_and_injected_faults_are_refused(log, bundle, bundle_path, tmp_path):
+def test_a_run_that_was_shown_another_runs_images_is_refused(log, bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(calibration_log, "MIN_MINUTES", 0.0)
+    replayed = deploy(
+        DeployCfg(
+            bundle,
+            camera="replay",
+            camera_cfg=ReplayCfg(log),
+            safety=BRISK,
+            seconds=2.0,
+            out=tmp_path,
+        )
+    )
+    with pytest.raises(RenetError, match=r"recording\.mcap shows the images of an earlier run"):
+        recorded_scores((replayed / "recording.mcap",), Bundle.load(bundle))
+
+
+def test_other_models_injected_faults_and_dry_runs_are_refused(log, bundle, bundle_path, tmp_path):
     with pytest.raises(RenetError, match="made with other models"):
         recorded_scores((log,), Bundle.load(bundle_path))
     spoilt = deploy(DeployCfg(bundle, seconds=0.1, fault=("blackout@5s",), out=tmp_path))
     with pytest.raises(RenetError, match="injected faults"):
         recorded_scores((spoilt / "recording.mcap",), Bundle.load(bundle))
+    dry = deploy(DeployCfg(bundle, seconds=0.1, dry_run=True, out=tmp_path))
+    with pytest.raises(RenetError, match=r"\.mcap is of a dry run, in which nothing walked"):
+        recorded_scores((dry / "recording.mcap",), Bundle.load(bundle))
     short = deploy(DeployCfg(bundle, seconds=0.1, out=tmp_path))
     with pytest.raises(RenetError, match="no walk with a camera"):
         recorded_scores((short / "recording.mcap",), Bundle.load(bundle))

@@ -284,6 +284,17 @@ def test_no_more_is_unpacked_than_what_was_read_can_hold(recorded, tmp_path):
             read_recording(path)
 
 
+def test_a_flight_too_long_for_memory_is_read_up_to_there(recorded, flight, monkeypatch):
+    """As one of three hours with a camera of 30 Hz."""
+    monkeypatch.setattr(reader, "_MAX_BYTES", recorded.stat().st_size)
+    part = read_recording(recorded)
+    assert 0 < len(part.ticks) < len(flight.ticks)
+    assert part.ticks.tobytes() == flight.ticks[: len(part.ticks)].tobytes()
+    assert list(part.images) == [row for row in flight.images if row < len(part.ticks)]
+    assert flight.complete
+    assert not part.complete
+
+
 def test_ros_tools_read_it(recorded, flight):
     """Independent code, which knows the messages by the file's own schemas alone."""
     with recorded.open("rb") as file:

@@ -1,6 +1,7 @@
 """Scores of flights made by hand, whose falls, metres and delays are known."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,6 +38,12 @@ def test_a_robots_flight_is_reckoned_from_its_estimators(flight):
     assert result["compute_ms"] == {"p50": 1.0, "p99": pytest.approx(1.0), "max": 9.0}
     assert result["period_ms"]["max"] == pytest.approx(20.0)
     np.testing.assert_allclose(track(flight.ticks)[-1], [0.0, 3.6, 0.0], atol=0.02)
+
+
+def test_a_dry_run_does_not_claim_that_a_robot_walked(flight):
+    dry = replace(flight, header=flight.header | {"dry_run": True})
+    assert summary(score_run(dry, [])).startswith("dry run, the robot was left alone; ")
+    assert "dry run" not in summary(score_run(flight, []))
 
 
 def test_a_simulators_truth_wins(flight):

@@ -143,10 +143,12 @@ def test_a_pad_out_of_range_stands(stick, pad):
     assert stick.command(3.1).forward == pytest.approx(0.885, abs=1e-3)
 
 
-def test_an_unplugged_pad_stops(stick, pad):
+def test_an_unplugged_pad_stops_and_the_operator_is_told(stick, pad):
     assert not stick.command(0.0).stop
+    assert stick.problem == ""
     pad.unplug()
     assert stick.command(0.1).stop
+    assert stick.problem == "the gamepad is gone: connect it, and start renet again"
 
 
 @pytest.mark.parametrize("amplitude", [1, 655, 1300])

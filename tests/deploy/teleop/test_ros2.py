@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from itertools import count
@@ -195,6 +196,13 @@ def test_a_real_robot_needs_a_terminal(monkeypatch):
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(RenetError, match="keys need a terminal"):
         Ros2Cfg(ros_interface="lo", ros_domain=free_domain()).build(0.5, simulated=False)
+
+
+def test_a_topic_that_cannot_be_read_leaves_the_terminal_as_it_was(terminal):
+    before = termios.tcgetattr(sys.stdin.fileno())
+    with pytest.raises(RenetError, match="no network interface 'eth77' here"):
+        Ros2Cfg(ros_interface="eth77", ros_domain=free_domain()).build(0.5, simulated=False)
+    assert termios.tcgetattr(sys.stdin.fileno()) == before
 
 
 def test_a_domain_is_the_given_one_or_ros_own(monkeypatch):

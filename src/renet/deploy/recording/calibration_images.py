@@ -148,9 +148,11 @@ def read_image(path: Path) -> np.ndarray:
     try:
         # Of images with very many pixels Pillow only warns.
         with warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning):
-            pixels = np.asarray(Image.open(path, formats=["PNG"]))
+            image = Image.open(path, formats=["PNG"])
+            pixels = np.asarray(image)
     except (OSError, SyntaxError, Warning) as error:
         raise RenetError(f"cannot read the image {path}: {reason(error)}") from error
-    if pixels.ndim != 2:
+    # The pixels of an image with a palette ("P") are numbers of its colours.
+    if image.mode == "P" or pixels.ndim != 2:
         raise RenetError(f"{path} has colours: give depth images of one channel, of 16 bits")
     return pixels.astype(np.float64)

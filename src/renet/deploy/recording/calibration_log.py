@@ -34,8 +34,9 @@ def recorded_scores(logs: tuple[Path, ...], bundle: Bundle) -> dict[str, list[np
     Walks that a problem ended are left out, as failed episodes are in simulation.
 
     Raises:
-        RenetError: A recording cannot be read, is of another policy, has injected faults or is
-            given twice, or all together hold too little healthy walking.
+        RenetError: A recording cannot be read, is of another policy or of a dry run, has injected
+            faults or another run's images, or is given twice, or all together hold too little
+            healthy walking.
     """
     first: dict[bytes, Path] = {}
     series: dict[str, list[np.ndarray]] = {name: [] for name in MONITORS}
@@ -122,3 +123,8 @@ def _check(run: Recording, path: Path, bundle: Bundle) -> None:
         raise RenetError(f"{path} was made with other models than {bundle.path}'s")
     if run.header.get("fault"):
         raise RenetError(f"{path} was made with injected faults: it says nothing of a healthy one")
+    if run.header.get("dry_run"):
+        raise RenetError(f"{path} is of a dry run, in which nothing walked")
+    # Some monitors compare the images with the robot's motion.
+    if run.header.get("camera") == "replay":
+        raise RenetError(f"{path} shows the images of an earlier run: give that one")

@@ -78,7 +78,10 @@ def _controller(run: Recording, bundle: Bundle) -> tuple[Controller, ScriptedInf
         unseen = run.header["unseen"]
     except (KeyError, TypeError) as error:
         raise RenetError(f"the recording's header does not say what ran: {error}") from error
-    controller = Controller(bundle, safety, lambda sessions: inference, mode, unseen=unseen)
+    dry_run = run.header.get("dry_run", False)
+    controller = Controller(
+        bundle, safety, lambda sessions: inference, mode, unseen=unseen, dry_run=dry_run
+    )
     return controller, inference
 
 

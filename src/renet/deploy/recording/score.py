@@ -141,6 +141,7 @@ def summary(score: dict[str, Any]) -> str:
     if score["falls"] and not end.startswith(_FELL_INTO):
         end = "fell"
     parts = [
+        "dry run, the robot was left alone" if score["run"].get("dry_run") else "",
         " → ".join([*score["states"], *filter(None, [end])]),
         f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
         f"({score['distance_from']})",

@@ -31,6 +31,8 @@ _AXIS = 0x02
 _REPEATED = 0x80
 _FULL = 32767.0
 """A stick's value at its end; the kernel scales all pads to it."""
+GONE = "the gamepad is gone: connect it, and start renet again"
+"""Problem of a gamepad that was unplugged, or whose battery is empty; it is not opened anew."""
 DEAD_ZONE = 0.1
 """Share of its range by which a stick must be off its middle to steer, and by which it must move to
 show that somebody holds it. Noise is smaller."""
@@ -163,6 +165,8 @@ class GamepadTeleop:
         self._sticks: dict[str, float] = {name: 0.0 for name in sticks}
         self._held = dict(self._sticks)
         self._deadman = Deadman(deadman)
+        self.problem = ""
+        """Problem that the operator is to be told; empty if there is none."""
 
     def command(self, now: float) -> TeleopCommand:
         """Return the command of sticks and buttons; an unplugged gamepad stops the robot."""
@@ -180,6 +184,7 @@ class GamepadTeleop:
                     stop |= pressed and event.name in self.STOP_BUTTONS
         except OSError:
             stop = True
+            self.problem = GONE
         authority = self._deadman.authority(heard, now)
         # The kernel counts sticks positive to the right and towards the operator.
         ahead = -self._stick(self.FORWARD)

@@ -22,8 +22,10 @@ class BodyWatch:
     description of its legs.
     """
 
-    def __init__(self, robot: RobotSpec, cfg: SafetyCfg) -> None:
+    def __init__(self, robot: RobotSpec, cfg: SafetyCfg, limp: bool = False) -> None:
+        """Watch one robot; a `limp` one is never commanded, so that its sensors may stand still."""
         self._cfg = cfg
+        self._limp = limp
         self._intake = Intake(robot, cfg)
         self._freezing = Freezing()
         torque = robot.arrays["torque_limit"]
@@ -79,7 +81,7 @@ class BodyWatch:
             self.warning = ""
             if self._speed is not None:
                 self._speed.start_over()
-        self._powered = bool(command.stiffness.any())
+        self._powered = not self._limp and bool(command.stiffness.any())
         self._walking = followed
         self._target = command.position if followed else None
         self._estimate = estimate
