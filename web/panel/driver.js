@@ -131,10 +131,10 @@ export class Driver {
   /**
    * Take the news that a pointer or a gamepad let components go.
    * @param {string[]} components that it held.
-   * @param {boolean} keeps whether the forward speed stays, as it does after a key.
+   * @param {boolean} keeps whether the forward speed stays, as it does after a key, if it was held.
    */
   leave(components, keeps) {
-    if (keeps) this.forward = this.pad.forward ?? this.forward;
+    if (keeps && components.includes("forward")) this.forward = this.pad.forward ?? this.forward;
     for (const component of components) delete this.pad[component];
   }
 

@@ -27,8 +27,8 @@ export class Gamepad {
     const pad = findPad();
     const wished = {};
     for (const [component, axis] of Object.entries(AXES)) {
-      // Axes grow to the right and backward, components to the left and ahead.
-      wished[component] = this.driver.scaled(component, pad ? -pad.axes[axis] : 0);
+      // Axes grow to the right and backward, components to the left and ahead; some pads have one stick.
+      wished[component] = this.driver.scaled(component, -(pad?.axes[axis] ?? 0));
     }
     const steers = Object.values(wished).some((value) => value !== 0);
     if (steers) this.driver.steer(wished);
