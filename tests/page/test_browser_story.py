@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from renet.palette import UNSEEN_AHEAD, UNSEEN_COLOUR, rgb
-from tests.page.visit import DESKTOP, NEWS, PARTS, PHONE
+from tests.page.visit import DESKTOP, NEWS, PARTS, PHONE, WALKS
 
 pytestmark = pytest.mark.wall_clock
 
@@ -76,3 +76,16 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
     assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
     assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")
     assert one.its("driver.driven"), "and still drives"
+
+
+def test_a_fall_is_told_of_the_mode_in_which_it_was(visit):
+    one = visit("?ground=flat&fault=none&left=switch&right=memory").load().undrawn().soon(WALKS)
+    one.ask(
+        """for (const { world } of renetPage.page.simulations) {
+          world.data.qpos.set([0, 1, 0, 0], world.free + 3);
+        } 0"""
+    )
+    one.until(VERDICT)
+    one.page.select_option(".slot:first-child select", "camera")
+    one.until(f"renetPage.stats.pictures > {2 + one.ask('renetPage.stats.pictures')}")
+    assert one.page.text_content("#verdict").startswith("Switch fell")
