@@ -110,10 +110,68 @@ def test_first_pictures_are_the_golden_ones(visit, robot):
         demand("hood")
 
 
-@pytest.mark.parametrize("missing", ["**/estimator.onnx", "**/three.module.js"])
-def test_missing_file_is_named_on_the_page(visit, missing):
+@pytest.mark.parametrize(
+    ("missing", "named"),
+    [("**/estimator.onnx", "estimator.onnx"), ("**/three.module.js", "a script is missing")],
+)
+def test_missing_file_is_named_on_the_page(visit, missing, named):
     one = visit()
     one.page.route(missing, lambda route: route.abort())
     one.page.goto(one.url)
     one.until("document.querySelector('#message').textContent.startsWith('The page cannot')")
+    assert named in one.page.text_content("#message")
     one.complaints.clear()
+
+
+def test_a_browser_that_is_too_old_is_told_so(visit):
+    one = visit()
+    # As in Safari up to 16.3.
+    one.page.add_init_script("delete globalThis.OffscreenCanvas")
+    one.page.goto(one.url)
+    one.until("document.querySelector('#message').textContent.startsWith('The page cannot')")
+    assert "OffscreenCanvas" in one.page.text_content("#message")
+    one.complaints.clear()
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["without-gpu", "with-gpu"])
+def test_scenes_that_begin_anew_leave_nothing_behind(visit, plain):
+    one = visit("?ground=gap&fault=none", {"width": 300, "height": 300})
+    if not plain:
+        one.page.add_init_script("WebGL2RenderingContext.prototype.getExtension = () => null")
+    one.page.route("**/*.onnx", lambda route: None)
+    one.load("renetPage.stats.first")
+    assert one.its("view.plain") == plain
+
+    def begin_anew() -> dict[str, int]:
+        """Numbers of geometries and textures on the GPU."""
+        one.ask("renetPage.page.start()")
+        one.until(f"renetPage.stats.pictures > {2 + one.ask('renetPage.stats.pictures')}")
+        return one.its("view.renderer.info.memory")
+
+    first = begin_anew()
+    assert [begin_anew() for _ in range(3)] == [first] * 3
+
+
+def test_the_time_for_which_a_page_was_hidden_is_in_no_picture(visit):
+    one = visit("?ground=flat&fault=none")
+    one.page.route("**/*.onnx", lambda route: None)
+    one.load("renetPage.stats.first").undrawn()
+    one.ask(
+        """{ const { page } = renetPage, draw = page.draw.bind(page), frame = requestAnimationFrame;
+        renetPage.longest = 0;
+        page.draw = (seconds) => {
+          renetPage.longest = Math.max(renetPage.longest, seconds);
+          draw(seconds);
+        };
+        globalThis.requestAnimationFrame = (paint) => {
+          globalThis.requestAnimationFrame = frame;
+          setTimeout(() => {
+            document.dispatchEvent(new Event("visibilitychange"));
+            frame(paint);
+            renetPage.back = true;
+          }, 5000);
+        }; } 0"""
+    )
+    one.until("renetPage.back")
+    one.until(f"renetPage.stats.pictures > {2 + one.ask('renetPage.stats.pictures')}")
+    assert 0 < one.ask("renetPage.longest") < 4
