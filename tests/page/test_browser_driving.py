@@ -251,8 +251,23 @@ def test_a_gamepad_with_a_single_stick_goes(driven):
     assert not driven.its("driver.driven")
     driven.ask("renetPad.axes = [0, -1]")
     told_soon(driven, "Math.abs(x - 1) < 1e-6 && Number.isFinite(z)")
+    # It leaves turning to keys.
+    driven.page.keyboard.down("a")
+    told_soon(driven, "Math.abs(x - 1) < 1e-6 && z > 0.7")
+    driven.page.keyboard.up("a")
     driven.ask("renetPad.axes = [0, 0]")
     told_soon(driven, STANDS)
+
+
+def test_the_stick_of_a_gamepad_that_turns_leaves_the_speed_of_keys(driven):
+    """As the stick on the screen does."""
+    driven.press("w")
+    told_soon(driven, "Math.abs(x - 0.7) < 1e-6")
+    driven.ask(GAMEPAD)
+    driven.ask("renetPad.axes = [0, 0, -1, 0]")
+    told_soon(driven, "z > 0.99 && Math.abs(x - 0.7) < 1e-6")
+    driven.ask("renetPad.axes = [0, 0, 0, 0]")
+    told_soon(driven, "z < 0.99 && Math.abs(x - 0.7) < 1e-6")
 
 
 def test_a_stick_that_is_let_go_stands_whatever_another_finger_taps(driven):

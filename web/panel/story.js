@@ -17,7 +17,9 @@ export class Story {
    */
   constructor(ground, robots) {
     this.ground = ground;
+    /** Seconds at which the cameras broke for the last time; null: not yet. */
     this.onset = null;
+    this.broken = false;
     this.now = 0;
     const tale = { mode: "", distance: 0, fell: null, done: null, state: "", how: "" };
     this.tales = Array.from({ length: robots }, () => ({ ...tale }));
@@ -30,14 +32,17 @@ export class Story {
     const reach = Math.max(Math.abs(x), Math.abs(y));
     const [first, last] = this.ground.obstacle ?? [Infinity, Infinity];
     this.now = now;
-    if (camera.broken(now)) this.onset ??= camera.fault.onset;
+    const broken = camera.broken(now);
+    // The cameras of all robots break at once.
+    if (broken && !this.broken) this.onset = camera.fault.onset;
+    this.broken = broken;
     tale.state = state;
     if (tale.fell !== null) return;
     // What was done is told of the mode in which it was done, whatever the visitor chooses then.
     if (fell || tale.done === null) tale.mode = mode;
     tale.distance = Math.hypot(x, y);
     if (fell) tale.fell = now;
-    if (reach > first && state) tale.how ||= state === "sees" && camera.broken(now) ? FOOLED : HOW[state];
+    if (reach > first && state) tale.how ||= state === "sees" && broken ? FOOLED : HOW[state];
     if (reach > last + CLEAR && state) tale.done ??= now;
   }
 
