@@ -16,8 +16,9 @@ export function countingReader(sizes, { folder, look }, show) {
   return async (path) => {
     const bytes = new Uint8Array(sizes[path]);
     const reader = (await request(path)).body.getReader();
+    const next = () => naming(path, reader.read());
     let at = 0;
-    for (let part = await reader.read(); !part.done; part = await reader.read()) {
+    for (let part = await next(); !part.done; part = await next()) {
       bytes.set(part.value, at);
       at += part.value.length;
       loaded += part.value.length;
@@ -31,9 +32,18 @@ export function countingReader(sizes, { folder, look }, show) {
 export const loadContract = async () => (await request("renet-page.json")).json();
 
 async function request(path) {
-  const answer = await fetch(path);
+  const answer = await naming(path, fetch(path));
   if (!answer.ok) throw new Error(`${path}: ${answer.status} ${answer.statusText}`);
   return answer;
+}
+
+/** Name a file in the error of a connection that fails, which names none. */
+async function naming(path, step) {
+  try {
+    return await step;
+  } catch (error) {
+    throw new Error(`${path}: ${error.message}`);
+  }
 }
 
 /**

@@ -48,6 +48,8 @@ async function simulate() {
 /** Draw as often as the view asks for; a simulation that falls behind comes first. */
 async function draw() {
   let last = performance.now();
+  // No pictures come while nobody looks, which says nothing about how quickly they are drawn.
+  document.addEventListener("visibilitychange", () => (last = performance.now()));
   for (;;) {
     const pause = stats.behind > BEHIND ? RARELY : page.view.pause;
     if (pause > 0) await sleep(pause);

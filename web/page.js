@@ -165,7 +165,7 @@ export class Page {
     const { ground, conduct } = this.scene;
     const simulate = ({ mode }) => new Simulation(this.runtime, ground, seed, mode, conduct);
     this.simulations = this.panels.map(simulate);
-    this.story = new Story(ground, this.scene.modes.slice());
+    this.story = new Story(ground, this.panels.length);
     this.slowed = new Set();
     this.slowUntil = 0;
     if (this.driver.driven) this.driver.stand();
@@ -238,7 +238,9 @@ export class Page {
     press(this.healthy, this.broken === null);
     $("#show").hidden = !this.driver.driven;
     $("#level").textContent = `${severity} of 5${fault ? ` · ${fault.described[severity - 1]}` : ""}`;
-    history.replaceState(null, "", sceneLink(this.scene, this.runtime.contract));
+    const link = sceneLink(this.scene, this.runtime.contract);
+    // Safari refuses more than 100 changes in 30 s.
+    if (link !== location.search) history.replaceState(null, "", link);
   }
 
   explain() {
@@ -299,7 +301,6 @@ export class Page {
   }
 
   draw(seconds) {
-    this.story.names = this.panels.map(({ mode }) => mode);
     this.simulations.forEach((simulation, n) => this.panels[n].update(simulation, this.story.outcome(n)));
     this.view.draw(this.simulations, seconds);
     this.pad.show(this.driver.velocity);

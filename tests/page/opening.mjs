@@ -27,7 +27,7 @@ async function walk(seed) {
   const { world, camera } = simulation;
   const turn = AIM * Math.sin(seed);
   world.data.qpos.set([Math.cos(turn / 2), 0, 0, Math.sin(turn / 2)], world.free + 3);
-  const story = new Story(ground, [mode]);
+  const story = new Story(ground, 1);
   while (!story.sentence && simulation.now < LIMIT) {
     const reach = Math.max(...world.pose().position.slice(0, 2).map(Math.abs));
     if (!camera.fault && reach >= ground.obstacle[0] - BEFORE * SHOW.forward) camera.break(fault, severity, simulation.now);

@@ -9,9 +9,39 @@ import pytest
 from renet.interface import LEGS, TRUNK
 from renet.robots import GO2
 from tests.browser import compare
-from tests.page.visit import DESKTOP, PARTS, PHONE, WALKS
+from tests.page.visit import DESKTOP, NEWS, PARTS, PHONE, WALKS
 
 pytestmark = pytest.mark.wall_clock
+
+SCREENS = {
+    "laptop": (1440, 900),
+    "tablet": (768, 1024),
+    "tablet on its side": (1024, 768),
+    "phone with the bars of its browser": (390, 664),
+    "small phone": (360, 640),
+    "phone on its side": (844, 390),
+    "small phone on its side": (667, 375),
+}
+"""Widths and heights beside `DESKTOP` and `PHONE`, px."""
+LONGEST = """{ const { page } = renetPage;
+for (const panel of page.panels) {
+  panel.say("outcome", "Leapt the gap · 12.3 m", "");
+  panel.say("driver", "remembers (VP)", "remembers");
+  panel.say("why", "the image contradicts what was seen before", "");
+  panel.say("ahead", "unseen ahead", "unseen");
+  panel.say("walked", "0.60 m/s ahead, 0.30 m/s left, turns left at 0.80 rad/s", "");
+  panel.update = () => {};
+}
+const sentence = "Switch fell 0.6 s after its camera broke. Memory leapt the gap from memory.";
+Object.defineProperty(page.story, "sentence", { value: sentence });
+page.driver.press("s");
+page.driver.steer({ forward: -0.6, left: 0.4, turnRate: -0.8 }); } 0"""
+"""Says the longest words that the page has, of robots that are driven."""
+SPILT = """[...document.querySelectorAll(".drive > *, .bar > *")].filter((part) => {
+  const [outer, inner] = [part.parentElement, part].map((one) => one.getBoundingClientRect());
+  return part.checkVisibility() && (inner.top < outer.top || inner.bottom > outer.bottom);
+}).map((part) => part.textContent)"""
+"""Words of the controls that reach out of their boxes."""
 
 
 def test_ground_lies_all_round_and_robots_that_fell_are_put_back(visit):
@@ -87,6 +117,18 @@ def test_a_wrong_link_is_corrected_and_everything_can_be_reached_with_tab(visit)
     assert one.page.locator("#faults button:visible").count() == 16
 
 
+def test_the_longest_words_fit_on_screens_of_all_sizes(visit):
+    one = visit("?robot=go1&bundle=go1-driven&ground=gap&fault=gaussian")
+    one.page.route("**/*.onnx", lambda route: None)
+    one.load("renetPage.stats.loaded > 0.5")
+    one.ask(LONGEST)
+    for name, (width, height) in SCREENS.items():
+        one.page.set_viewport_size({"width": width, "height": height})
+        one.until(f"renetPage.stats.pictures > {1 + one.ask('renetPage.stats.pictures')}")
+        one.demand_order((*PARTS, *NEWS))
+        assert one.ask(SPILT) == [], name
+
+
 @pytest.mark.parametrize("robot", ["go1", "go2"])
 def test_first_pictures_are_the_golden_ones(visit, robot):
     """Before the models have come, robots stand still."""
@@ -110,10 +152,68 @@ def test_first_pictures_are_the_golden_ones(visit, robot):
         demand("hood")
 
 
-@pytest.mark.parametrize("missing", ["**/estimator.onnx", "**/three.module.js"])
-def test_missing_file_is_named_on_the_page(visit, missing):
+@pytest.mark.parametrize(
+    ("missing", "named"),
+    [("**/estimator.onnx", "estimator.onnx"), ("**/three.module.js", "a script is missing")],
+)
+def test_missing_file_is_named_on_the_page(visit, missing, named):
     one = visit()
     one.page.route(missing, lambda route: route.abort())
     one.page.goto(one.url)
     one.until("document.querySelector('#message').textContent.startsWith('The page cannot')")
+    assert named in one.page.text_content("#message")
     one.complaints.clear()
+
+
+def test_a_browser_that_is_too_old_is_told_so(visit):
+    one = visit()
+    # As in Safari up to 16.3.
+    one.page.add_init_script("delete globalThis.OffscreenCanvas")
+    one.page.goto(one.url)
+    one.until("document.querySelector('#message').textContent.startsWith('The page cannot')")
+    assert "OffscreenCanvas" in one.page.text_content("#message")
+    one.complaints.clear()
+
+
+@pytest.mark.parametrize("plain", [True, False], ids=["without-gpu", "with-gpu"])
+def test_scenes_that_begin_anew_leave_nothing_behind(visit, plain):
+    one = visit("?ground=gap&fault=none", {"width": 300, "height": 300})
+    if not plain:
+        one.page.add_init_script("WebGL2RenderingContext.prototype.getExtension = () => null")
+    one.page.route("**/*.onnx", lambda route: None)
+    one.load("renetPage.stats.first")
+    assert one.its("view.plain") == plain
+
+    def begin_anew() -> dict[str, int]:
+        """Numbers of geometries and textures on the GPU."""
+        one.ask("renetPage.page.start()")
+        one.until(f"renetPage.stats.pictures > {2 + one.ask('renetPage.stats.pictures')}")
+        return one.its("view.renderer.info.memory")
+
+    first = begin_anew()
+    assert [begin_anew() for _ in range(3)] == [first] * 3
+
+
+def test_the_time_for_which_a_page_was_hidden_is_in_no_picture(visit):
+    one = visit("?ground=flat&fault=none")
+    one.page.route("**/*.onnx", lambda route: None)
+    one.load("renetPage.stats.first").undrawn()
+    one.ask(
+        """{ const { page } = renetPage, draw = page.draw.bind(page), frame = requestAnimationFrame;
+        renetPage.longest = 0;
+        page.draw = (seconds) => {
+          renetPage.longest = Math.max(renetPage.longest, seconds);
+          draw(seconds);
+        };
+        globalThis.requestAnimationFrame = (paint) => {
+          globalThis.requestAnimationFrame = frame;
+          setTimeout(() => {
+            document.dispatchEvent(new Event("visibilitychange"));
+            frame(paint);
+            renetPage.back = true;
+          }, 5000);
+        }; } 0"""
+    )
+    one.until("renetPage.back")
+    one.until(f"renetPage.stats.pictures > {2 + one.ask('renetPage.stats.pictures')}")
+    assert 0 < one.ask("renetPage.longest") < 4

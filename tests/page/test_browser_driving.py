@@ -80,6 +80,22 @@ def test_every_control_answers_to_keys(visit):
     one.until("!renetPage.page.resetDue && renetPage.page.now < 1")
 
 
+class Fingers:
+    """Fingers on a visit's screen, where Playwright's only tap."""
+
+    def __init__(self, one: Visit) -> None:
+        self.session = one.page.context.new_cdp_session(one.page)
+        self.touching = False
+
+    def hold(self, *places: tuple[float, float]) -> None:
+        """Put fingers on points, px, and lift all others; the first stays the same finger."""
+        points = [{"id": n, "x": x, "y": y} for n, (x, y) in enumerate(places)]
+        kind = "touchMove" if self.touching else "touchStart"
+        self.touching = bool(points)
+        event = {"type": kind if points else "touchEnd", "touchPoints": points}
+        self.session.send("Input.dispatchTouchEvent", event)
+
+
 def told_soon(one: Visit, expected: str) -> None:
     """Wait until the first policy is told (x, y, z), of which a condition holds."""
     one.until(f"(([x, y, z]) => {expected})({TOLD})")
@@ -158,6 +174,32 @@ def test_a_visitor_drives_all_round_by_the_pad_and_gives_back(driven, size):
     driven.until(f"!renetPage.page.driver.driven && renetPage.page.now < {driven_for}")
 
 
+def test_the_address_is_written_where_it_changes(visit):
+    """Safari refuses more than 100 writes in 30 s; a key that is held comes that often in 4 s."""
+    one = visit("?ground=flat&fault=gaussian").load().undrawn()
+    one.ask(
+        """renetPage.written = 0;
+        const replace = history.replaceState.bind(history);
+        history.replaceState = (...given) => { renetPage.written += 1; replace(...given); }; 0"""
+    )
+    for _ in range(5):
+        one.page.keyboard.down("+")
+    assert one.ask("renetPage.written") == 0
+    one.press("-")
+    assert "severity=4" in one.page.url
+    assert one.ask("renetPage.written") == 1
+
+
+def test_a_fault_behind_more_is_shown_while_it_is_at_work(visit):
+    one = visit("?ground=flat&fault=none").load().undrawn()
+    unplugged = one.page.locator("#faults button", has_text="Unplugged")
+    assert unplugged.is_hidden()
+    one.press("9")
+    assert unplugged.is_visible()
+    one.press("h")
+    assert unplugged.is_hidden()
+
+
 def plug_in(one: Visit, mapping: str) -> None:
     one.ask(
         f"""{{ const event = new Event("gamepadconnected");
@@ -198,6 +240,72 @@ def test_a_visitor_drives_all_round_by_a_gamepad(driven):
     driven.ask("navigator.getGamepads = () => { throw new DOMException('', 'SecurityError'); }; 0")
     forbidden = driven.its("now")
     driven.until(f"renetPage.page.now > {forbidden} + 0.1")
+
+
+def test_a_gamepad_with_a_single_stick_goes(driven):
+    """Chromium calls a Joy-Con, which has two axes, standard."""
+    driven.ask(GAMEPAD)
+    driven.ask("renetPad.axes = [0, 0]")
+    begun = driven.its("now")
+    driven.until(f"renetPage.page.now > {begun} + 0.1")
+    assert not driven.its("driver.driven")
+    driven.ask("renetPad.axes = [0, -1]")
+    told_soon(driven, "Math.abs(x - 1) < 1e-6 && Number.isFinite(z)")
+    # It leaves turning to keys.
+    driven.page.keyboard.down("a")
+    told_soon(driven, "Math.abs(x - 1) < 1e-6 && z > 0.7")
+    driven.page.keyboard.up("a")
+    driven.ask("renetPad.axes = [0, 0]")
+    told_soon(driven, STANDS)
+
+
+def test_the_stick_of_a_gamepad_that_turns_leaves_the_speed_of_keys(driven):
+    """As the stick on the screen does."""
+    driven.press("w")
+    told_soon(driven, "Math.abs(x - 0.7) < 1e-6")
+    driven.ask(GAMEPAD)
+    driven.ask("renetPad.axes = [0, 0, -1, 0]")
+    told_soon(driven, "z > 0.99 && Math.abs(x - 0.7) < 1e-6")
+    driven.ask("renetPad.axes = [0, 0, 0, 0]")
+    told_soon(driven, "z < 0.99 && Math.abs(x - 0.7) < 1e-6")
+
+
+def test_a_stick_that_is_let_go_stands_whatever_another_finger_taps(driven):
+    x, y = driven.place("#go")
+    mouse = driven.page.mouse
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x, y - 60)
+    told_soon(driven, "Math.abs(x - 1) < 1e-6")
+    driven.page.touchscreen.tap(*driven.place("#turn"))
+    mouse.up()
+    told_soon(driven, STANDS)
+
+
+def test_a_stick_follows_the_main_button_of_a_mouse_alone(driven):
+    """The menu of another one would keep the news that it was let go."""
+    driven.page.mouse.move(*driven.place("#go", (0.5, 0.05)))
+    driven.page.mouse.down(button="right")
+    driven.page.mouse.up(button="right")
+    assert not driven.its("driver.driven")
+
+
+def test_letters_of_other_scripts_are_taken_by_their_place(driven):
+    """On a Russian keyboard W is Ц, and A is Ф."""
+    driven.ask(
+        """renetPage.strike = (type, key, code) =>
+          document.body.dispatchEvent(new KeyboardEvent(type, { key, code, bubbles: true })); 0"""
+    )
+    driven.ask("renetPage.strike('keydown', 'Ц', 'KeyW')")
+    told_soon(driven, "Math.abs(x - 0.7) < 1e-6")
+    driven.ask("renetPage.strike('keydown', 'ф', 'KeyA')")
+    told_soon(driven, "z > 0.7")
+    driven.ask("renetPage.strike('keyup', 'ф', 'KeyA')")
+    told_soon(driven, "z < 0.7")
+    # A Latin letter is meant, wherever it is: Q of a French keyboard is where A is elsewhere.
+    driven.ask("renetPage.strike('keydown', 'q', 'KeyA')")
+    told_soon(driven, "y > 0.3 && z < 0.7")
+    driven.ask("renetPage.strike('keyup', 'q', 'KeyA')")
 
 
 def test_a_policy_that_is_told_headings_is_offered_what_it_follows(visit):
@@ -258,3 +366,60 @@ def test_drag_pushes_a_robot_and_turns_the_view_elsewhere(visit):
     (push,) = one.ask("renetPage.pushes")
     assert np.hypot(*push) == pytest.approx(0.6, abs=0.05)
     one.until(f"Math.abs(renetPage.page.{eye} - {before}) > 0.05")
+
+
+def test_a_push_is_of_one_finger_and_of_one_scene(visit):
+    one = visit("?ground=flat&fault=none")
+    one.load("renetPage.stats.first && renetPage.page.now > 0").undrawn()
+    one.ask("renetPage.pushes = []; renetPage.page.push = (by) => renetPage.pushes.push(by); 0")
+    left, top, width, height = one.its("view.boxes[0]")
+    robot = left + 0.5 * width, top + 0.42 * height
+    moved = robot[0] + 60, robot[1]
+    corner = left + 0.1 * width, top + 0.85 * height
+    fingers = Fingers(one)
+    fingers.hold(robot)
+    fingers.hold(robot, corner)
+    fingers.hold(robot, (corner[0] + 90, corner[1]))
+    fingers.hold(robot)
+    assert one.ask("renetPage.pushes") == []
+    fingers.hold(moved)
+    fingers.hold()
+    (push,) = one.ask("renetPage.pushes.splice(0)")
+    assert np.hypot(*push) == pytest.approx(0.6, abs=0.05)
+
+    # Two fingers that turn the view, of which the second is on the robot, push nothing.
+    fingers.hold(corner)
+    fingers.hold(corner, robot)
+    fingers.hold(corner, moved)
+    fingers.hold()
+    assert one.ask("renetPage.pushes") == []
+
+    mouse = one.page.mouse
+    mouse.move(*robot)
+    mouse.down(button="right")
+    mouse.move(*moved)
+    mouse.up(button="right")
+    assert one.ask("renetPage.pushes") == []
+
+    mouse.move(*robot)
+    mouse.down()
+    one.ask("renetPage.page.view.draw = () => {}; renetPage.page.start()")
+    mouse.move(*moved)
+    mouse.up()
+    assert one.ask("renetPage.pushes") == []
+
+
+def test_a_finger_on_a_stick_leaves_the_view_to_the_other(visit):
+    one = visit("?ground=flat&fault=none").load("renetPage.stats.first").undrawn()
+    corner, stick, eye = (20, 300), one.place("#go"), "view.orbit.position.x"
+    fingers = Fingers(one)
+    fingers.hold(corner)
+    fingers.hold(corner, stick)
+    before = one.its(eye)
+    fingers.hold(corner, (stick[0], stick[1] - 30))
+    fingers.hold(corner, (stick[0] + 30, stick[1]))
+    one.until(f"renetPage.stats.pictures > {2 + one.ask('renetPage.stats.pictures')}")
+    assert one.its(eye) == before
+    fingers.hold((corner[0] + 60, corner[1]))
+    one.until(f"Math.abs(renetPage.page.{eye} - {before}) > 0.05")
+    fingers.hold()

@@ -1,13 +1,19 @@
 """The page in a real browser: it tells its story, and a visitor tells his own."""
 
+import re
+
 import numpy as np
 import pytest
 
 from renet.palette import UNSEEN_AHEAD, UNSEEN_COLOUR, rgb
-from tests.page.visit import DESKTOP, NEWS, PARTS, PHONE
+from tests.page.visit import DESKTOP, NEWS, PARTS, PHONE, WALKS
 
 pytestmark = pytest.mark.wall_clock
 
+TOPPLE = """for (const { world } of renetPage.page.simulations) {
+  world.data.qpos.set([0, 1, 0, 0], world.free + 3);
+} 0"""
+"""Turns all robots upside down."""
 VERDICT = "document.querySelector('#verdict').textContent"
 
 
@@ -76,3 +82,29 @@ def test_a_visitor_drives_breaks_the_camera_and_crosses(visit, size, scheme):
     assert one.its("simulations.map((s) => s.camera.fault.name)") == ["gaussian"] * 2
     assert one.page.text_content("#verdict").endswith("Memory leapt the gap from memory.")
     assert one.its("driver.driven"), "and still drives"
+
+
+def test_a_fall_is_timed_from_the_last_time_that_the_camera_broke(visit):
+    one = visit("?ground=flat&fault=none").load().undrawn().soon(WALKS)
+    one.press("1")
+    one.until("renetPage.page.story.onset !== null")
+    first = one.its("story.onset")
+    one.press("h")
+    one.until(f"renetPage.page.now > {first + 3.0}")
+    one.press("1")
+    one.until(f"renetPage.page.story.onset > {first + 3.0}")
+    assert one.its("message") == "Both cameras just failed."
+    one.ask(TOPPLE)
+    one.until(VERDICT)
+    told = re.search(r"fell ([\d.]+) s after its camera broke", one.page.text_content("#verdict"))
+    assert told is not None
+    assert float(told[1]) < 3.0
+
+
+def test_a_fall_is_told_of_the_mode_in_which_it_was(visit):
+    one = visit("?ground=flat&fault=none&left=switch&right=memory").load().undrawn().soon(WALKS)
+    one.ask(TOPPLE)
+    one.until(VERDICT)
+    one.page.select_option(".slot:first-child select", "camera")
+    one.until(f"renetPage.stats.pictures > {2 + one.ask('renetPage.stats.pictures')}")
+    assert one.page.text_content("#verdict").startswith("Switch fell")

@@ -52,7 +52,7 @@ export class Controls {
     addEventListener("keydown", (event) => {
       if (event.key === "Tab") clicked = false;
       if (event.ctrlKey || event.metaKey || event.altKey || belongs(event)) return;
-      const key = event.key.toLowerCase();
+      const key = nameOf(event);
       if (page.driver.press(key)) {
         event.preventDefault();
         return;
@@ -65,12 +65,19 @@ export class Controls {
       else once[key]();
     });
     addEventListener("keyup", (event) => {
-      page.driver.release(event.key.toLowerCase());
+      page.driver.release(nameOf(event));
       // Firefox presses a button that was clicked when a space ends.
       if (event.key === " " && !belongs(event)) event.preventDefault();
     });
     addEventListener("blur", () => page.driver.letGo());
   }
+}
+
+/** Name of a key, in lower case; a letter of another script is the Latin one in its place. */
+function nameOf({ key, code }) {
+  const foreign = /^\p{Letter}$/u.test(key) && !/^\p{Script=Latin}$/u.test(key);
+  const place = foreign ? /^Key([A-Z])$/.exec(code) : null;
+  return (place ? place[1] : key).toLowerCase();
 }
 
 /** Choose the next option, as the visitor would. */

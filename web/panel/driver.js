@@ -7,7 +7,7 @@ import { STILL } from "../control/steering.js";
 /** @type {Velocity} */
 export const SHOW = Object.freeze({ forward: 0.6, left: 0, turnRate: 0 });
 /** Components of a velocity, in the order in which the contract's keys count them. */
-export const COMPONENTS = ["forward", "left", "turnRate"];
+const COMPONENTS = ["forward", "left", "turnRate"];
 const STEP = 0.1;
 /** m/s that a key adds to the forward speed, which stays. */
 const HELD = { left: 0.4, turnRate: 0.8 };
@@ -131,10 +131,10 @@ export class Driver {
   /**
    * Take the news that a pointer or a gamepad let components go.
    * @param {string[]} components that it held.
-   * @param {boolean} keeps whether the forward speed stays, as it does after a key.
+   * @param {boolean} keeps whether the forward speed stays, as it does after a key, if it was held.
    */
   leave(components, keeps) {
-    if (keeps) this.forward = this.pad.forward ?? this.forward;
+    if (keeps && components.includes("forward")) this.forward = this.pad.forward ?? this.forward;
     for (const component of components) delete this.pad[component];
   }
 

@@ -1,9 +1,7 @@
 // A gamepad: its left stick goes, its right one turns, as for `renet deploy --teleop joystick`.
 
-import { COMPONENTS } from "./driver.js";
-
-/** Axes of a gamepad that the browser calls standard, by the component that they steer. */
-const AXES = { left: 0, forward: 1, turnRate: 2 };
+/** Sticks of a gamepad that the browser calls standard: their axes by the component that they steer. */
+const STICKS = [{ left: 0, forward: 1 }, { turnRate: 2 }];
 /** Buttons that ask to stand: the lower and the right one of four. */
 const STOPS = [0, 1];
 const FOUND = "Gamepad: the left stick goes, the right one turns.";
@@ -17,24 +15,29 @@ export class Gamepad {
    */
   constructor(driver, onNotice) {
     this.driver = driver;
-    /** Whether a stick was out of its middle when it was last read. */
-    this.steers = false;
+    /** Whether each stick was out of its middle when it was last read. */
+    this.steers = STICKS.map(() => false);
     addEventListener("gamepadconnected", ({ gamepad }) => onNotice(isKnown(gamepad) ? FOUND : UNKNOWN));
   }
 
   /** Read the gamepad; to be called in every control step, for gamepads send no events. */
   read() {
     const pad = findPad();
+    this.steers = STICKS.map((axes, n) => this.readStick(pad, axes, this.steers[n]));
+    if (STOPS.some((button) => pad?.buttons[button].pressed)) this.driver.press(" ");
+  }
+
+  /** Steer by a stick, which may be missing; whether it is out of its middle now, as it was `before` or not. */
+  readStick(pad, axes, before) {
     const wished = {};
-    for (const [component, axis] of Object.entries(AXES)) {
+    for (const [component, axis] of Object.entries(axes)) {
       // Axes grow to the right and backward, components to the left and ahead.
-      wished[component] = this.driver.scaled(component, pad ? -pad.axes[axis] : 0);
+      wished[component] = this.driver.scaled(component, -(pad?.axes[axis] ?? 0));
     }
     const steers = Object.values(wished).some((value) => value !== 0);
     if (steers) this.driver.steer(wished);
-    else if (this.steers) this.driver.leave(COMPONENTS, false);
-    this.steers = steers;
-    if (STOPS.some((button) => pad?.buttons[button].pressed)) this.driver.press(" ");
+    else if (before) this.driver.leave(Object.keys(axes), false);
+    return steers;
   }
 }
 

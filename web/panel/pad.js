@@ -26,7 +26,8 @@ class Stick {
     this.knob = element.querySelector("b");
     this.pointer = null;
     element.addEventListener("pointerdown", (event) => {
-      if (this.pointer !== null) return;
+      // The menu of another button of a mouse would keep the news that it was let go.
+      if (this.pointer !== null || event.button !== 0) return;
       this.pointer = event.pointerId;
       this.from = [event.clientX, event.clientY];
       this.taps = true;

@@ -13,28 +13,36 @@ const FOOLED = "on broken images";
 export class Story {
   /**
    * @param {object} ground one of a bundle's.
-   * @param {string[]} names of the robots: their modes.
+   * @param {number} robots how many there are.
    */
-  constructor(ground, names) {
-    Object.assign(this, { ground, names });
+  constructor(ground, robots) {
+    this.ground = ground;
+    /** Seconds at which the cameras broke for the last time; null: not yet. */
     this.onset = null;
+    this.broken = false;
     this.now = 0;
-    this.tales = names.map(() => ({ distance: 0, fell: null, done: null, state: "", how: "" }));
+    const tale = { mode: "", distance: 0, fell: null, done: null, state: "", how: "" };
+    this.tales = Array.from({ length: robots }, () => ({ ...tale }));
   }
 
   /** Keep one control step of robot `n`. */
-  note(n, { now, fell, state, world, camera }) {
+  note(n, { now, fell, state, world, camera, controller: { mode } }) {
     const tale = this.tales[n];
     const [x, y] = world.pose().position;
     const reach = Math.max(Math.abs(x), Math.abs(y));
     const [first, last] = this.ground.obstacle ?? [Infinity, Infinity];
     this.now = now;
-    if (camera.broken(now)) this.onset ??= camera.fault.onset;
+    const broken = camera.broken(now);
+    // The cameras of all robots break at once.
+    if (broken && !this.broken) this.onset = camera.fault.onset;
+    this.broken = broken;
     tale.state = state;
     if (tale.fell !== null) return;
+    // What was done is told of the mode in which it was done, whatever the visitor chooses then.
+    if (fell || tale.done === null) tale.mode = mode;
     tale.distance = Math.hypot(x, y);
     if (fell) tale.fell = now;
-    if (reach > first && state) tale.how ||= state === "sees" && camera.broken(now) ? FOOLED : HOW[state];
+    if (reach > first && state) tale.how ||= state === "sees" && broken ? FOOLED : HOW[state];
     if (reach > last + CLEAR && state) tale.done ??= now;
   }
 
@@ -52,7 +60,7 @@ export class Story {
     const ends = this.tales.map(({ fell, done }) => fell ?? done);
     const first = Math.min(...ends.map((end) => end ?? Infinity), this.onset ?? Infinity);
     if (ends.includes(null) && this.now < first + SETTLED) return "";
-    return this.tales.map((tale, n) => `${capital(this.names[n])} ${this.verb(tale)}.`).join(" ");
+    return this.tales.map((tale) => `${capital(tale.mode)} ${this.verb(tale)}.`).join(" ");
   }
 
   verb({ fell, done, how, distance }) {

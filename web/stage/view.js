@@ -49,6 +49,8 @@ export class View {
     this.scene.add(new THREE.HemisphereLight(0xf4f8ff, 0x8d887e, this.plain ? 0.9 : 2.1));
     this.sun = this.addSun();
     this.robots = [];
+    /** The push that is being drawn: robot, pointer and where it began, px; null: none. */
+    this.push = null;
     this.bindPush();
     /** Where the cameras are, seen from a robot that looks along x. */
     this.orbit = new THREE.PerspectiveCamera(42, 1, 0.05, 90);
@@ -56,6 +58,15 @@ export class View {
     this.orbit.position.set(...START);
     this.orbitControls = new OrbitControls(this.orbit, canvas);
     Object.assign(this.orbitControls, { enablePan: false, minDistance: 0.8, maxDistance: 8, maxPolarAngle: 1.5 });
+    this.turning = false;
+    this.orbitControls.addEventListener("start", () => (this.turning = true));
+    this.orbitControls.addEventListener("end", () => (this.turning = false));
+    // While one finger turns the view, OrbitControls takes all others on the page for it.
+    for (const type of ["pointermove", "pointerup"]) {
+      document.addEventListener(type, (event) => {
+        if (event.target !== canvas) event.stopImmediatePropagation();
+      });
+    }
   }
 
   addSun() {
@@ -72,35 +83,43 @@ export class View {
   /** A drag that begins on a robot pushes; any other turns the view. */
   bindPush() {
     const { canvas } = this;
-    let from = null;
     canvas.addEventListener("pointerdown", (event) => {
+      if (this.push || this.turning || event.button !== 0) return;
       const n = this.slots.findIndex((slot) => inside(slot.getBoundingClientRect(), event));
-      const hit = n >= 0 && Boolean(this.boxes[n]) && this.isOn(n, event);
-      this.orbitControls.enabled = !hit;
-      if (!hit) return;
-      from = { n, x: event.clientX, y: event.clientY };
+      if (n < 0 || !this.boxes[n] || !this.isOn(n, event)) return;
+      this.orbitControls.enabled = false;
+      this.push = { n, pointer: event.pointerId, x: event.clientX, y: event.clientY };
       canvas.setPointerCapture(event.pointerId);
     });
-    const push = ({ clientX, clientY }) => {
-      const { matrixWorld } = this.cameras[from.n];
-      const right = new THREE.Vector3().setFromMatrixColumn(matrixWorld, 0).setZ(0).normalize();
-      const away = UP.clone().cross(right);
-      const [scale, most] = PUSH;
-      return right
-        .multiplyScalar(scale * (clientX - from.x))
-        .addScaledVector(away, scale * (from.y - clientY))
-        .clampLength(0, most);
-    };
-    canvas.addEventListener("pointermove", (event) => from && this.robots[from.n].aim(push(event)));
+    canvas.addEventListener("pointermove", (event) => {
+      if (event.pointerId === this.push?.pointer) this.robots[this.push.n].aim(this.pushOf(event));
+    });
     for (const end of ["pointerup", "pointercancel"]) {
       canvas.addEventListener(end, (event) => {
-        if (!from) return;
-        const { x, y } = push(event);
-        this.robots[from.n].aim(null);
-        from = null;
+        if (event.pointerId !== this.push?.pointer) return;
+        const { x, y } = this.pushOf(event);
+        this.robots[this.push.n].aim(null);
+        this.endPush();
         if (end === "pointerup") this.onPush([x, y]);
       });
     }
+  }
+
+  /** The push that a drag up to a pointer asks for, m/s in the world frame. */
+  pushOf({ clientX, clientY }) {
+    const { n, x, y } = this.push;
+    const right = new THREE.Vector3().setFromMatrixColumn(this.cameras[n].matrixWorld, 0).setZ(0).normalize();
+    const away = UP.clone().cross(right);
+    const [scale, most] = PUSH;
+    return right
+      .multiplyScalar(scale * (clientX - x))
+      .addScaledVector(away, scale * (y - clientY))
+      .clampLength(0, most);
+  }
+
+  endPush() {
+    this.push = null;
+    this.orbitControls.enabled = true;
   }
 
   /** Whether a pointer is on a robot. */
@@ -114,7 +133,10 @@ export class View {
 
   /** Show other simulations, all on the same ground. */
   reset(simulations) {
-    this.scene.remove(this.terrain?.group, ...this.robots.map(({ group }) => group));
+    const before = [this.terrain, ...this.robots].flatMap((one) => one?.group ?? []);
+    before.forEach(free);
+    this.scene.remove(...before);
+    this.endPush();
     const { seenGroups } = this.runtime.contract.camera;
     this.terrain = buildTerrain(simulations[0].world, seenGroups, this.plain);
     this.robots = simulations.map(({ world }) => new Robot(this.runtime, world, this.plain));
@@ -196,6 +218,15 @@ export class View {
       this.took = (SLOW + QUICK) / 2;
     }
   }
+}
+
+/** Give back what a group has on the GPU, to which shapes that are drawn again are copied anew. */
+function free(group) {
+  group.traverse((part) => {
+    part.geometry?.dispose();
+    part.material?.map?.dispose();
+    if (part.isInstancedMesh) part.dispose();
+  });
 }
 
 function inside({ left, right, top, bottom }, { clientX, clientY }) {
