@@ -20,7 +20,7 @@ from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by, select
 from renet.evaluation.rollout import robot_numbers
-from renet.evaluation.studies.grounds import one_tile_cfg
+from renet.evaluation.studies.grounds import one_tile_cfg, start_facing
 from renet.evaluation.studies.memory import DEAD_CAMERA
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
 from renet.evaluation.trace import Trace
@@ -108,6 +108,9 @@ class ReachStudy(WalkingStudy):
     def _walk_tile(self, evaluator: Evaluator, name: str, gap: GapTile, metres: float) -> Part:
         """Walk on one tile with each conduct, and with a healthy camera."""
         cfg = one_tile_cfg(evaluator, "gap", gap)
+        # From the middle of the tile, so that the distance walked tells where a robot is.
+        start_facing(cfg)
+        cfg.events["spawn"].params["pose_range"]["x"] = (0.0, 0.0)
         dead = (Injection.of(*DEAD_CAMERA, self.onset, self.seconds),)
         # One group with a healthy camera, whose conduct changes nothing, and one for each conduct.
         trials = self.trial_group("memory")
