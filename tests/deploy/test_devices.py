@@ -113,7 +113,7 @@ def test_only_what_the_policy_follows_is_offered(monkeypatch, capsys, device):
 
 def test_faults_begin_with_the_run_not_with_the_wait_for_a_first_image(monkeypatch):
     camera = SimpleNamespace(start=lambda: None, latest=iter([None, None, "image"]).__next__)
-    robot = SimpleNamespace(connect=lambda: None, now=lambda: 0.0)
+    robot = SimpleNamespace(connect=lambda: None, now=lambda: 0.0, read=lambda: None)
     monkeypatch.setattr(devices, "make_robot", lambda *given: robot)
     monkeypatch.setattr(RealSenseCfg, "build", lambda *given: camera)
     pressed = []

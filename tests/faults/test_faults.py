@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -6,7 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renet.errors import RenetError
-from renet.faults import FAULTS, SEVERITIES, Frames, Injection, Injector, PhysicalFault
+from renet.faults import (
+    FAULTS,
+    SEVERITIES,
+    Frames,
+    Injection,
+    Injector,
+    PhysicalFault,
+    parse_fault,
+)
 from renet.faults.image import fill_from_left, shifted
 from renet.faults.physical import choose_evenly
 from renet.interface import DEPTH_SHAPE, TICK_DT
@@ -144,6 +153,49 @@ def test_latency_delays_images_as_stated() -> None:
     assert 0.15 < ages.mean() < 0.3
     first, second = play([Injection("latency", 500, onset=0)], ticks=2)
     np.testing.assert_array_equal(second.image, first.image, "until another one arrives")
+
+
+@pytest.mark.parametrize("fault", ["frozen:5", "latency:4"])
+def test_old_images_keep_their_own_share_of_holes(fault: str) -> None:
+    injector = Injector([(parse_fault(f"{fault}@1s"),)] * 4, range(4), seed=0)
+    for t in range(30):
+        # Every frame has a depth and a share of holes of its own, which tell each other.
+        share = (t + 1) / 100
+        live = Frames.healthy(np.full((4, *DEPTH_SHAPE), share, np.float32))
+        frames = injector.apply(replace(live, invalid=np.full(4, share)), 5 * t)
+        np.testing.assert_allclose(frames.invalid, frames.image[:, 0, 0], rtol=1e-6)
+
+
+def test_frames_that_are_lost_before_they_are_late_never_come() -> None:
+    """Of each frame that the bus loses, latency delivers nothing; others come once at most."""
+    schedule = (Injection("dropped", 0.7, onset=0), Injection("latency", 200, onset=0))
+    injector = Injector([schedule] * 8, range(8), seed=0)
+    dropping = Injector([schedule[:1]] * 8, range(8), seed=0)
+    delivered = [[] for _ in range(8)]
+    sent = [[] for _ in range(8)]
+    for t in range(100):
+        # The depth of a frame is its number.
+        live = Frames.healthy(np.full((8, *DEPTH_SHAPE), (t + 1) / 128, np.float32))
+        late = injector.apply(live, 5 * t)
+        dropped = dropping.apply(live, 5 * t)
+        for robot in range(8):
+            if late.fresh[robot]:
+                delivered[robot].append(128 * late.image[robot, 0, 0])
+            if dropped.fresh[robot]:
+                sent[robot].append(128 * dropped.image[robot, 0, 0])
+    for numbers, whole in zip(delivered, sent, strict=True):
+        assert (np.diff(numbers) > 0).all()
+        # The first frame is shown at once, whether it was lost or not.
+        assert set(numbers) <= {1.0, *whole}
+        assert len(numbers) > 10
+
+
+def test_age_of_late_frames_is_never_negative() -> None:
+    """From the very first tick on, until the first late frame arrives, the image grows old."""
+    frames = play([Injection("latency", 500, onset=0)], n=8, ticks=20)
+    for t in range(3):
+        np.testing.assert_allclose(frames[t].age, t * TICK_DT, atol=1e-9)
+    assert min(frame.age.min() for frame in frames) >= 0.0
 
 
 def test_motion_blur_follows_rate_and_exposure() -> None:

@@ -73,7 +73,7 @@ def start_devices(
             _start_camera(camera, cfg.robot_cfg.simulated, checklist.patience)
         # Onsets of faults count from the first look, hence from the run's first step.
         if cfg.fault:
-            camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed)
+            camera = FaultyCamera(camera, cfg.faults, robot.now, cfg.seed, robot.read)
     if checklist.patience:
         # A simulated robot's readings are always in time, and a silent one sends none to count.
         counted = answers and not cfg.robot_cfg.simulated

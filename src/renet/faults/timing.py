@@ -16,15 +16,15 @@ class Frozen(Fault):
     unit = "s"
     levels = (0.2, 0.5, 1.0, 3.0, FOREVER)
     level_is_duration = True
-    _last: np.ndarray | None = None
+    _last: Frames | None = None
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Hold the last image from before the fault."""
+        """Hold the last image from before the fault, with its holes."""
         if self._last is None:
-            self._last = frames.image.copy()
+            self._last = frames.copy()
         live = elapsed < 0
-        self._last[live] = frames.image[live]
-        return replace(frames, image=self._last.copy())
+        self._last.write(live, frames.rows(live))
+        return replace(self._last.copy(), fresh=frames.fresh, age=frames.age)
 
 
 class Dropped(Fault):
@@ -75,31 +75,48 @@ class Latency(Fault):
     def __init__(self, level: float, rngs: Sequence[np.random.Generator]) -> None:
         super().__init__(level, rngs)
         depth = int(np.ceil(1.5e-3 * level / TICK_DT)) + 2
-        self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=depth)
-        self._last_capture = np.full(len(rngs), -np.inf)
+        self._past: deque[tuple[Frames, np.ndarray]] = deque(maxlen=depth)
+        """Frames of the last ticks, newest first, and the times at which they arrive, [n] s."""
+        self._held: Frames | None = None
+        """Frames delivered last."""
+        self._capture = np.zeros(len(rngs))
+        """Times at which they were taken, [n] s."""
+        self._arrival = np.zeros(len(rngs))
+        """Times at which they arrived, [n] s."""
         self._now = 0.0
 
     def corrupt(self, frames: Frames, elapsed: np.ndarray) -> Frames:
-        """Deliver the newest image that has arrived by now."""
-        # Store the new images, newest first, with the times at which they arrive.
+        """Deliver the newest frame that has arrived by now."""
+        # Store the new frames with the times at which they arrive; lost ones never do.
         self._now += TICK_DT
         delay = np.array([rng.uniform(0.5, 1.5) * self.level * 1e-3 for rng in self.rngs])
-        arrival = np.where(elapsed >= 0, self._now + delay, self._now)
-        self._past.appendleft((frames.image.copy(), arrival))
+        live = elapsed < 0
+        arrival = np.where(frames.fresh, self._now + delay, np.inf)
+        self._past.appendleft((frames.copy(), np.where(live, self._now, arrival)))
 
-        # Find the newest one that has arrived, for each robot; until then show the oldest.
+        # Until the first frame arrives, it is shown already, since there was none before.
+        fresh = np.zeros(len(elapsed), bool)
+        if self._held is None:
+            self._held = frames.copy()
+            self._capture[:] = self._now
+            self._arrival[:] = self._now
+            fresh = frames.fresh.copy()
+
+        # Find the newest one that has arrived, for each robot, if it is newer than the last.
         arrivals = np.stack([arrival for _, arrival in self._past])
         has_arrived = arrivals <= self._now + 1e-9
-        has_arrived[-1] = True
         ticks_ago = has_arrived.argmax(axis=0)
-        images = []
-        for robot, ticks in enumerate(ticks_ago.tolist()):
-            images.append(self._past[ticks][0][robot])
-        image = np.stack(images)
-
-        # An image is fresh if it was captured after the one delivered last.
         capture = self._now - TICK_DT * ticks_ago
-        fresh = capture > self._last_capture + 1e-9
-        self._last_capture = capture
-        age = np.where(fresh, 0.0, self._now - arrivals[ticks_ago, np.arange(len(ticks_ago))])
-        return replace(frames, image=image, fresh=fresh, age=age)
+        is_newer = has_arrived.any(axis=0) & (capture > self._capture + 1e-9)
+        for robot in np.flatnonzero(is_newer).tolist():
+            row = np.array([robot])
+            self._held.write(row, self._past[ticks_ago[robot]][0].rows(row))
+            self._capture[robot] = capture[robot]
+            self._arrival[robot] = arrivals[ticks_ago[robot], robot]
+        fresh |= is_newer
+        age = np.where(fresh, 0.0, self._now - self._arrival)
+        return replace(
+            self._held.copy(),
+            fresh=np.where(live, frames.fresh, fresh),
+            age=np.where(live, frames.age, age),
+        )

@@ -1,5 +1,6 @@
 """Cameras around cameras: faults injected, flights shown again."""
 
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -15,6 +16,7 @@ from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT
 
 from ..fakes import Standing, frame, time_of
+from ..fakes import state as standing
 
 
 def watch(fault: str, steps: int, idle: int = 0, every: int = 5) -> list[DepthFrame]:
@@ -58,6 +60,50 @@ def test_an_unplugged_camera_grows_old_and_comes_back():
 
 def test_holes_are_told():
     assert watch("glare:4@0s", 10)[-1].invalid > 0.3
+
+
+@pytest.mark.parametrize("reading", [None, np.zeros(3), np.array([0.0, 0.0, 3.0])])
+def test_motion_blur_follows_the_robots_turn(reading):
+    """An edge is smeared over as many columns as it moves in during the exposure of 40 ms."""
+    edge = np.zeros((48, 64), np.float32)
+    edge[:, 32:] = 1.0
+    source = Mock(spec=Camera, latest=lambda: DepthFrame(edge, 0, 50.0))
+    state = None if reading is None else standing(angular_velocity=reading)
+    blur = [parse_fault("motion_blur:5@0s")]
+    camera = FaultyCamera(source, blur, lambda: 50.0, seed=1, read=lambda: state)
+    row = camera.latest().image[0]
+    rate = 0.0 if reading is None else reading[2]
+    # The lens sees 66 degrees in 64 columns.
+    columns = rate * 0.04 * 32 / np.tan(np.radians(33))
+    assert 1.0 / np.abs(np.diff(row)).max() == pytest.approx(max(columns, 1.0), abs=1.0)
+    assert (row != edge[0]).any() == (columns > 0.0)
+
+
+def test_a_damaged_reading_blurs_nothing():
+    source = Mock(spec=Camera, latest=lambda: frame(0, 50.0))
+    state = standing(angular_velocity=np.array([0.0, np.nan, np.inf]))
+    blur = [parse_fault("motion_blur:5@0s")]
+    camera = FaultyCamera(source, blur, lambda: 50.0, seed=1, read=lambda: state)
+    np.testing.assert_allclose(camera.latest().image, frame(0, 50.0).image, atol=1e-6)
+
+
+def test_holes_of_an_image_are_told_as_long_as_it_is_shown():
+    """A driver that hangs repeats an image with its share of holes, not with the newest one's."""
+    step = 0
+
+    def latest() -> DepthFrame:
+        last = step - step % 5
+        return replace(frame(last, 50.0 + time_of(last)), invalid=0.5 if last >= 50 else 0.25)
+
+    source = Mock(spec=Camera, latest=latest)
+    hang = [parse_fault("frozen@1s")]
+    camera = FaultyCamera(source, hang, lambda: 50.0 + time_of(step), seed=1)
+    shown = []
+    for step in range(60):  # noqa: B007  (the clock)
+        shown.append(camera.latest())
+    assert shown[-1].time == pytest.approx(50.0 + time_of(55))
+    np.testing.assert_array_equal(shown[-1].image, shown[49].image)
+    assert shown[-1].invalid == shown[49].invalid == 0.25
 
 
 def test_a_faster_camera_is_thinned_out_to_ten_frames_a_second():

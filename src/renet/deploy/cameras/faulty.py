@@ -3,7 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from renet.deploy.cameras.base import Camera, DepthFrame
+from renet.deploy.robots.base import RobotState, all_finite
 from renet.faults import Frames, Injection, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, TICK_DT, control_steps
 
@@ -17,7 +20,12 @@ class FaultyCamera(Camera):
     """
 
     def __init__(
-        self, camera: Camera, faults: Sequence[Injection], now: Callable[[], float], seed: int
+        self,
+        camera: Camera,
+        faults: Sequence[Injection],
+        now: Callable[[], float],
+        seed: int,
+        read: Callable[[], RobotState | None] = lambda: None,
     ) -> None:
         """Wrap a camera.
 
@@ -26,12 +34,15 @@ class FaultyCamera(Camera):
             faults: Faults, which act on the same frames one after the other.
             now: Function that returns the time on the robot's clock, s.
             seed: Seed of the faults' randomness.
+            read: Function that returns the robot's newest reading, whose turn rate blurs images; by
+                default the robot does not turn.
 
         Raises:
             RenetError: This camera or its scene cannot have one of the faults.
         """
         self._camera = camera
         self._now = now
+        self._read = read
         self._perturb = getattr(camera, "perturb", None)
         """Method by which a simulated camera shows a changed scene; None for a real one."""
         self._injector = Injector([tuple(faults)], [0], seed, self._perturb is not None)
@@ -61,7 +72,8 @@ class FaultyCamera(Camera):
         if frame is None or frame.time < self._due - CONTROL_DT / 2:
             return self._shown
         self._due = max(self._due + TICK_DT, frame.time)
-        healthy = Frames.healthy(frame.image[None])
+        healthy = Frames.healthy(frame.image[None], self._turn_rate())
+        healthy = replace(healthy, invalid=np.array([frame.invalid]))
         spoilt = self._injector.apply(healthy, self._step(frame.time))
         # A fault that holds frames back leaves the one before.
         if spoilt.fresh[0]:
@@ -69,7 +81,7 @@ class FaultyCamera(Camera):
                 frame,
                 image=spoilt.image[0],
                 time=frame.time - float(spoilt.age[0]),
-                invalid=max(frame.invalid, float(spoilt.invalid[0])),
+                invalid=float(spoilt.invalid[0]),
             )
         return self._shown
 
@@ -81,6 +93,13 @@ class FaultyCamera(Camera):
     def close(self) -> None:
         """Stop streaming; a second call does nothing."""
         self._camera.close()
+
+    def _turn_rate(self) -> np.ndarray:
+        """Return the angular velocity of the base, [1, 3] rad/s; zeros without a sound reading."""
+        state = self._read()
+        if state is None or not all_finite(state.angular_velocity):
+            return np.zeros((1, 3))
+        return state.angular_velocity[None]
 
     def _step(self, time: float) -> int:
         """Return the number of control steps from the first call of `latest` to a time, s."""
