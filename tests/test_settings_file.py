@@ -18,6 +18,13 @@ def test_yaml_and_json_say_the_same(tmp_path):
     assert read_settings(tmp_path / "a.yaml") == wanted
 
 
+@pytest.mark.parametrize("text", ["1e-3-lr", "3e4f5a9b", "2e5 robots"])
+def test_a_text_that_begins_like_a_number_is_a_text(tmp_path, text):
+    (tmp_path / "a.json").write_text(json.dumps({"agent": {"run_name": text}}))
+    (tmp_path / "a.yaml").write_text(f"agent:\n  run_name: {text}\n")
+    assert read_settings(tmp_path / "a.yaml") == read_settings(tmp_path / "a.json")
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [

@@ -103,7 +103,8 @@ def clip(visit: Visit, number: int, robots: Sequence[int], start: float) -> Trac
     ticks = steps[::STEPS_PER_TICK] // STEPS_PER_TICK
     of = trace.film
     maps = of.maps[ticks, robots], of.maps_seen[ticks, robots]
-    return replace(cut, film=Film(of.poses[steps, robots], of.images[ticks, robots], *maps))
+    poses = of.poses[steps, robots]
+    return replace(cut, film=Film(poses, of.images[ticks, robots], *maps, of.map_height))
 
 
 def write(

@@ -9,7 +9,7 @@ from renet.files import MAX_JSON, read_bytes, read_object
 
 YAML = (".yaml", ".yml")
 """Endings of files in YAML."""
-EXPONENT = re.compile(r"[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+")
+EXPONENT = re.compile(r"[-+]?[0-9][0-9_]*(\.[0-9_]*)?[eE][-+]?[0-9]+$")
 """Numbers such as 1e-3, which YAML 1.1 takes for texts and YAML 1.2, as everybody, for numbers."""
 
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing.connection import Connection
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -22,6 +23,20 @@ class CountingEvaluator(SimpleNamespace):
         return Provenance("none", "0" * 64, "none", seed)
 
     def make_policy(self, num_robots: int) -> None: ...
+
+
+def end_at_start(connection: Connection, processors: list[int]) -> None:
+    """End as a process that is killed while it starts: what it was sent is never read."""
+    connection.poll(None)
+    os._exit(9)
+
+
+def end_when_ready(connection: Connection, processors: list[int]) -> None:
+    """End as a process that is killed while it waits for its next parts."""
+    connection.recv()
+    connection.send(None)
+    connection.poll(None)
+    os._exit(9)
 
 
 @dataclass(frozen=True)

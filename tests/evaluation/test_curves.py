@@ -51,6 +51,15 @@ def test_runs_with_batches_of_their_own_are_compared_by_steps(tmp_path):
     assert [row["sd"] for row in rows] == [None, None]
 
 
+def test_a_run_is_named_after_its_folder_also_with_a_dot_in_it(tmp_path):
+    high = write_run(tmp_path / "rate0.5", [0, 1])
+    low = write_run(tmp_path / "rate0.3", [0, 3])
+    rows = made(tmp_path, high, low)
+    assert [(row["label"], row["seeds"]) for row in rows] == [("rate0.5", 1), ("rate0.3", 1)]
+    kept = write_run(tmp_path / "kept", [0, 1], name="rate0.5.csv")
+    assert made(tmp_path, kept / "rate0.5.csv")[0]["label"] == "rate0.5"
+
+
 def test_points_are_means_of_iterations(tmp_path):
     run = write_run(tmp_path / "run", [0, 0, 3, 6])
     (row,) = made(tmp_path, run, smooth=3)

@@ -13,10 +13,11 @@ from renet.errors import RenetError
 from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.rollout import Trial
 from renet.faults import Injection, ViewPerturbation
+from renet.robots import GO1
 from renet.selector import SelectorSpec, make_selector
 from renet.tasks import mdp
-from renet.tasks.parkour_env_cfg import tile_env_cfg
-from renet.tasks.sensors import depth_camera
+from renet.tasks.parkour_env_cfg import flat_env_cfg, tile_env_cfg
+from renet.tasks.sensors import HEIGHT_MAP, depth_camera
 from renet.tasks.terrains import tile_row
 from renet.terrain.tiles import LEVELS, TILE, tiles
 
@@ -110,6 +111,20 @@ def test_robots_stand_on_the_tiles_they_are_placed_on_and_obey_a_new_command():
     np.testing.assert_allclose(result.proprioception[:, 6], 0.0)
     assert not result.ended.any()
     assert result.travelled.max() < 0.3
+
+
+def test_the_map_of_a_taller_robot_is_drawn_where_its_ground_is():
+    cfg = study_env_cfg(flat_env_cfg(play=True, robot=replace(GO1, map_height=0.38)), 0.5)
+    world = SimEnv(cfg, range(2), 1, "native")
+    world.reset()
+    heights = world.poses([0, 1])[:, 2, None]
+    sensed = world.env.scene[HEIGHT_MAP].data.numpy().copy()
+    selector = make_selector("memory", SelectorSpec(beta=0.01), 2)
+    rollout = fake_rollout(world, FakePolicy(2), [Trial("camera")] * 2, memory=selector)
+    film = rollout.run(1, film=[0, 1]).film
+    assert film is not None
+    # The plane is at the height 0.
+    np.testing.assert_allclose(heights - film.map_height - sensed, 0.0, atol=1e-3)
 
 
 def test_retired_robots_stand_still_until_the_next_reset_and_the_others_walk_alike():

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest, write_bundle
+from renet.bundle import (
+    DEFAULT,
+    Bundle,
+    pretrained,
+    read_manifest,
+    write_bundle,
+    write_manifest,
+)
 from renet.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import calibrate, calibrate_memory
@@ -137,6 +144,31 @@ def test_monitors_that_withhold_single_images_are_calibrated_with_them(
     # A monitor that objects to single images is calibrated on robots that see all of them.
     assert selector.thresholds["variance"] == pytest.approx(2.0 * first, rel=0.3)
     assert (selector.thresholds["map_error"], selector.longest_memory) == (0.4, 7.0)
+
+
+def test_robots_whose_memory_is_measured_obey_the_new_thresholds(tmp_path, monkeypatch):
+    """A bundle that has just been exported has limits of memory as one that is calibrated again."""
+    bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    exported = SelectorSpec(beta=0.01, longest_memory=6.0)
+    write_manifest(bundle, replace(read_manifest(bundle), selector=exported))
+    scores = np.random.default_rng(0).exponential(0.02, 2000)
+    obeyed = []
+
+    def limits(evaluator, *arguments):
+        obeyed.append(evaluator.make_selector("memory", 1).thresholds)
+        return {"map_error": 0.4}, 7.0
+
+    names = ("frame_age", "reconstruction", "disagreement", "map_error")
+    monkeypatch.setattr(
+        calibrate, "_healthy_runs", lambda *arguments, **options: {n: [scores] for n in names}
+    )
+    monkeypatch.setattr(calibrate, "memory_limits", limits)
+    run_calibrate(CalibrateCfg(bundle, sparse_grass=False))
+    written = read_manifest(bundle).selector.thresholds
+    assert written.keys() == {*names}
+    (thresholds,) = obeyed
+    for name in ("frame_age", "reconstruction", "disagreement"):
+        assert thresholds[name] == written[name]
 
 
 def test_calibration_walks_in_the_conditions_that_are_asked_for_and_by_default_in_trainings(

@@ -17,10 +17,11 @@ import pytest
 
 from renet import cli, terminal
 from renet.errors import RenetError
+from renet.evaluation import jobs
 from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.studies.memory import MemoryStudy
 
-from .counting import CountingEvaluator, CountingStudy
+from .counting import CountingEvaluator, CountingStudy, end_at_start, end_when_ready
 
 pytestmark = pytest.mark.wall_clock
 
@@ -108,6 +109,34 @@ def test_an_error_in_one_part_ends_all_jobs_and_keeps_the_other_parts(
     assert not started()
     assert not (tmp_path / "summary.json").exists()
     assert len(replace(study, fate="").run()["runs"]) == 2
+
+
+@pytest.mark.parametrize("work", [end_at_start, end_when_ready])
+def test_a_process_that_is_killed_before_it_reads_is_told_in_a_line(
+    tmp_path, monkeypatch, started, work
+):
+    monkeypatch.setattr(jobs, "_work", work)
+    with pytest.raises(RenetError, match="ended with code 9; if memory was short, give fewer"):
+        CountingStudy(tmp_path, letters="ab", jobs=2).run()
+    assert not started()
+
+
+def test_a_process_that_is_killed_before_its_parts_are_sent_is_told_in_a_line(
+    tmp_path, monkeypatch, started
+):
+    receive = jobs._receive
+
+    def receive_and_kill(job: jobs.Job) -> jobs.ProgressMessage | None:
+        message = receive(job)
+        if message is None:
+            job.process.kill()
+            job.process.join()
+        return message
+
+    monkeypatch.setattr(jobs, "_receive", receive_and_kill)
+    with pytest.raises(RenetError, match=r"made [ab] ended with code -9; if memory was short"):
+        CountingStudy(tmp_path, letters="ab", jobs=2).run()
+    assert not started()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -20,17 +20,19 @@ STEPS = 5
 """Control steps of one vision tick."""
 
 
-def remembering(maps_seen: np.ndarray, unseen: bool) -> Trace:
-    """A robot without images that stands on flat ground and knows it."""
+def remembering(
+    maps_seen: np.ndarray, unseen: bool, height: float = MAP_HEIGHT, map_height: float = MAP_HEIGHT
+) -> Trace:
+    """A robot without images on flat ground, its base at a height, m, and its map all zeros."""
     trace = Trace.empty(STEPS, 1)
     trace.vision[:] = True
     trace.unseen[:] = unseen
     poses = np.zeros((STEPS, 1, 7))
-    poses[:, :, 2] = MAP_HEIGHT
+    poses[:, :, 2] = height
     poses[:, :, 3] = 1.0
     images = np.zeros((1, 1, 48, 64), np.uint8)
     maps = np.zeros((1, 1, HEIGHT_MAP_SIZE))
-    return replace(trace, film=Film(poses, images, maps, maps_seen[None, None]))
+    return replace(trace, film=Film(poses, images, maps, maps_seen[None, None], map_height))
 
 
 @pytest.fixture
@@ -79,3 +81,12 @@ def test_a_robot_that_walks_towards_it_says_so(picture, tmp_path):
     ground, words = count(picture(remembering(everything, unseen=True), tmp_path), UNSEEN_COLOUR)
     assert ground == 0
     assert words > 1000
+
+
+def test_the_map_of_a_taller_robot_lies_on_the_ground(picture, tmp_path):
+    """Its map is zero where the ground is 38 cm below the base; dots in the air are darker."""
+    everything = np.ones(HEIGHT_MAP_SIZE, bool)
+    on_ground = remembering(everything, unseen=False, height=0.38, map_height=0.38)
+    assert count(picture(on_ground, tmp_path), REMEMBERS_COLOUR)[0] > 1000
+    in_air = remembering(everything, unseen=False, height=0.38)
+    assert count(picture(in_air, tmp_path), REMEMBERS_COLOUR)[0] == 0

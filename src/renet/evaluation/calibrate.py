@@ -154,24 +154,34 @@ def _is_folder(path: Path, folder: Path) -> bool:
 
 def _calibrate_simulated(cfg: CalibrateCfg) -> float:
     """Calibrate on simulated robots; returns β."""
-    evaluator, series, grassy, memory = _simulated_scores(cfg)
+    evaluator, series, grassy = _simulated_scores(cfg)
     bundle = evaluator.bundle
     calibration = _calibrate_monitors(cfg, bundle, series, grassy)
     thresholds = calibration.thresholds
+    memory: Memory = ({}, 0.0)
+    longest = bundle.manifest.selector.longest_memory
+    if longest:
+        # Robots obey the new thresholds: an exported bundle has none.
+        evaluator.bundle = _with_thresholds(bundle, thresholds, longest)
+        memory = memory_limits(evaluator, 3 * cfg.robots, cfg.levels, cfg.speed, cfg.seed)
     patient = [name for name in thresholds if MONITORS[name].in_a_row > 1]
     if patient:
         # These monitors withhold an image before they have an alarm, and what they say of the next
         # one then rests on an older image. So their thresholds need robots that walk with them.
         limits, longest = memory
-        selector = replace(
-            bundle.manifest.selector, thresholds=thresholds | limits, longest_memory=longest
-        )
-        evaluator.bundle = replace(bundle, manifest=replace(bundle.manifest, selector=selector))
+        evaluator.bundle = _with_thresholds(bundle, thresholds | limits, longest)
         withheld = _healthy_runs(cfg, evaluator, grass=False, mode="memory")
         needed = _calibrate_monitors(cfg, bundle, withheld, {}).thresholds
         for name in patient:
             thresholds[name] = max(thresholds[name], needed.get(name, -math.inf))
     return _store(cfg, bundle, series, calibration, memory)
+
+
+def _with_thresholds(bundle: Bundle, thresholds: dict[str, float], longest: float) -> Bundle:
+    """Copy a bundle, with other thresholds and another longest time without an image, s."""
+    spec = bundle.manifest.selector
+    selector = replace(spec, thresholds=thresholds, longest_memory=longest)
+    return replace(bundle, manifest=replace(bundle.manifest, selector=selector))
 
 
 def _calibrate_monitors(
@@ -267,8 +277,8 @@ def _description(cfg: CalibrateCfg, count: int) -> str:
     return f"{rule} of {count} scores of {source}, {datetime.now(UTC):%Y-%m-%d}"
 
 
-def _simulated_scores(cfg: CalibrateCfg) -> tuple[Evaluator, Series, Series, Memory]:
-    """Evaluator, scores in successful episodes without and with grass, and limits of memory."""
+def _simulated_scores(cfg: CalibrateCfg) -> tuple[Evaluator, Series, Series]:
+    """Evaluator, and scores in successful episodes without and with grass."""
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 
@@ -286,10 +296,7 @@ def _simulated_scores(cfg: CalibrateCfg) -> tuple[Evaluator, Series, Series, Mem
         raise RenetError("no episode succeeded: train the policy before calibrating its selector")
     through_grass = cfg.sparse_grass and evaluator.bundle.predicts_variance
     grassy = _healthy_runs(cfg, evaluator, grass=True) if through_grass else {}
-    memory: Memory = ({}, 0.0)
-    if evaluator.bundle.manifest.selector.longest_memory:
-        memory = memory_limits(evaluator, 3 * cfg.robots, cfg.levels, cfg.speed, cfg.seed)
-    return evaluator, series, grassy, memory
+    return evaluator, series, grassy
 
 
 def _healthy_runs(

@@ -106,8 +106,15 @@ def read_run(argument: str, smooth: int) -> Run:
     for name, curve in curves.items():
         raw = np.array([curve.get(i, np.nan) for i in iterations])
         values[name] = moving_mean(raw, smooth)
-    name = folder.parent.name if folder.name == CURVES else folder.stem
-    return Run(label or name, values[STEPS], values)
+    return Run(label or _name_of(folder), values[STEPS], values)
+
+
+def _name_of(path: Path) -> str:
+    """Name of a run: that of its folder, or of a file of curves that lies elsewhere."""
+    if path.name == CURVES:
+        return path.parent.name
+    # What follows a dot in a folder's name is no suffix.
+    return path.stem if path.suffix == ".csv" else path.name
 
 
 def moving_mean(values: np.ndarray, count: int) -> np.ndarray:

@@ -158,6 +158,8 @@ class SimEnv:
             self._camera = cast(DepthCamera, self.env.scene[DEPTH_CAMERA])
             self._draw_bodies(robots, seed)
         self.num_robots = len(robots)
+        self.map_height = cfg.robot.map_height
+        """Height of the base above flat ground at which height maps are zero, m."""
         self._seed = seed
         self._view = ViewPerturbation.none(self.num_robots)
         self._noise = torch.Generator()

@@ -107,7 +107,9 @@ def make_parts(
                 bars.advance(whole, len(job.parts))
                 log.finish(len(job.parts), job.bar)
                 job.parts = waiting.pop(0) if waiting else ()
-                job.connection.send(job.parts)
+                # If the process has been killed meanwhile, its next message tells.
+                with suppress(BrokenPipeError, ConnectionResetError):
+                    job.connection.send(job.parts)
                 if not job.parts:
                     # Remove it only after its exit: it must be known if Ctrl-C comes meanwhile.
                     job.process.join()
@@ -148,7 +150,8 @@ def _receive(job: Job) -> ProgressMessage | None:
     """
     try:
         news = job.connection.recv()
-    except EOFError:
+    # Linux resets a connection whose other end has ended without reading what it was sent.
+    except (EOFError, ConnectionResetError):
         job.process.join()
         raise RenetError(
             f"the process that made {', '.join(job.parts) or 'nothing yet'} ended with code"

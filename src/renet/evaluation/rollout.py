@@ -15,7 +15,7 @@ from renet.errors import RenetError
 from renet.evaluation.settings import FLAT_GROUND, ORACLE, check_modes
 from renet.evaluation.trace import UPDATES_PER_STEP, Film, StepResult, Trace, TrueState
 from renet.faults import FaultSchedule, Frames, Injector, ViewPerturbation
-from renet.interface import CONTROL_DT, PHYSICS_DT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, MAP_HEIGHT, PHYSICS_DT, STEPS_PER_TICK
 from renet.pilot import Images, Pilot
 from renet.pilot.policy import Policy
 from renet.selector.monitors import SelectorInput
@@ -42,7 +42,7 @@ class EvalEnv(Protocol):
 
     num_robots: int
     """N. An environment may have a method `retire(mask)`, as `SimEnv` does, that saves the work for
-    robots whose try is over."""
+    robots whose try is over, and a `map_height`, where its robots' is not `MAP_HEIGHT`."""
 
     def reset(self) -> StepResult:
         """Put every robot at its start, and simulate those again that were retired."""
@@ -146,7 +146,8 @@ class Rollout:
         if not film:
             return trace
         arrays = (np.stack(poses), np.stack(images), np.array(maps), np.array(maps_seen))
-        return replace(trace, film=Film(*arrays))
+        map_height = getattr(self.env, "map_height", MAP_HEIGHT)
+        return replace(trace, film=Film(*arrays, map_height))
 
     def _reset(self) -> None:
         """Put every robot at its start, with vision trusted."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from renet.interface import CONTROL_DT, PHYSICS_DT
+from renet.interface import CONTROL_DT, MAP_HEIGHT, PHYSICS_DT
 
 UPDATES_PER_STEP = round(CONTROL_DT / PHYSICS_DT)
 """Selector updates in one control step."""
@@ -25,6 +25,8 @@ class Film:
     """[ticks, R, 132] m, VP's height map after each tick; empty for policies without one."""
     maps_seen: np.ndarray
     """[ticks, R, 132] bool, True where that map shows ground that the robot has seen."""
+    map_height: float = MAP_HEIGHT
+    """Height of the base above flat ground at which these maps are zero, m."""
 
 
 @dataclass(frozen=True)

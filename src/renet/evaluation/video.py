@@ -14,7 +14,7 @@ from renet.errors import RenetError
 from renet.evaluation.painter import Painter, View
 from renet.evaluation.trace import Trace
 from renet.files import write_atomically
-from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, MAP_HEIGHT, STEPS_PER_TICK
+from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, STEPS_PER_TICK
 from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink, rgb
 from renet.terminal import progress
 
@@ -161,7 +161,8 @@ def _draw_map(
     # Points of the map in the world: the map turns with the robot's yaw alone.
     pose = film.poses[tick * STEPS_PER_TICK, robot]
     ahead, left = np.meshgrid(HEIGHT_MAP_X, HEIGHT_MAP_Y, indexing="ij")
-    grid = np.stack([ahead.ravel(), left.ravel(), -MAP_HEIGHT - film.maps[tick, robot]], axis=1)
+    down = film.map_height + film.maps[tick, robot]
+    grid = np.stack([ahead.ravel(), left.ravel(), -down], axis=1)
     yaw = Rotation.from_quat(pose[3:7], scalar_first=True).as_euler("ZYX")[:1]
     points = pose[:3] + Rotation.from_euler("z", yaw).apply(grid)
     error = np.abs(points[:, 2] - painter.heights(points)) / _BLACK_ERROR

@@ -231,14 +231,17 @@ def stale_above(staleness: np.ndarray, fell: np.ndarray, expected: np.ndarray) -
     """
     # Falls with memory and with OP at all moments that are at least as stale.
     order = np.argsort(-staleness, kind="stable")
+    stalest_first = staleness[order]
     falls = np.cumsum(fell[order])
     blind = np.cumsum(expected[order])
     if len(falls) == 0:
         return math.inf
-    surplus = falls - blind
+    # Moments that are as stale as each other count together, whatever their order.
+    is_last = np.append(stalest_first[1:] < stalest_first[:-1], True)
+    surplus = np.where(is_last, falls - blind, -np.inf)
     most = int(surplus.argmax())
     beyond_chance = surplus[most] > 2.0 * math.sqrt(max(blind[most], 1.0))
-    return float(staleness[order][most]) if beyond_chance else math.inf
+    return float(stalest_first[most]) if beyond_chance else math.inf
 
 
 def decluster(run: np.ndarray, level: float) -> list[float]:
