@@ -1,10 +1,14 @@
 """The ONNX models say what the PyTorch networks say, with memory carried along."""
 
+import json
+import shutil
+
 import numpy as np
 import onnxruntime as ort
 import pytest
 import torch
 
+from renet.bundle import pretrained
 from renet.bundle.graph import check_graph
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
@@ -12,7 +16,9 @@ from renet.models.config import ModelCfg
 from renet.models.expectation import Evidence, Recollection, mean_blocks
 from renet.models.memory import EstimatorMemory
 from renet.models.renet import RENet
-from renet.training.export import export_models
+from renet.options import ExportCfg
+from renet.training import checkpoint as checkpoints
+from renet.training.export import export, export_models
 
 from .test_ablations import ROWS
 
@@ -105,3 +111,38 @@ def test_sequence_matches_pytorch(fields):
 def test_oracle_cannot_be_exported():
     with pytest.raises(RenetError, match="Oracle"):
         export_models(RENet(ModelCfg(perception="oracle"), critic_size=10))
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "what"),
+    [
+        ("actions.joint_pos.scale", 0.5, "actions.joint_pos.scale 0.5; its task has 0.25"),
+        (
+            "scene.entities.robot.articulation.actuators.0.stiffness",
+            20.0,
+            "stiffness 20.0; .* 40.0",
+        ),
+        (
+            "scene.sensors.CAMERA.mount.pitch",
+            0.9,
+            "depth_camera.mount.pitch 0.9; its task has 0.52",
+        ),
+        ("scene.sensors.CAMERA.range", 3.0, "depth_camera.range 3.0; its task has 2.0"),
+    ],
+)
+def test_robot_other_than_the_tasks_is_not_exported(tmp_path, place, value, what):
+    """The manifest would describe another robot than that which the policy has learned to walk."""
+    folder = tmp_path / "it_00000001"
+    shutil.copytree(checkpoints.find(pretrained("checkpoint")), folder)
+    file = folder / "state.json"
+    state = json.loads(file.read_text())
+    setting = state["env"]
+    cameras = ["mount" in sensor for sensor in setting["scene"]["sensors"]]
+    *parents, last = place.replace("CAMERA", str(cameras.index(True))).split(".")
+    for key in parents:
+        setting = setting[int(key)] if isinstance(setting, list) else setting[key]
+    setting[last] = value
+    file.write_text(json.dumps(state))
+    with pytest.raises(RenetError, match=what):
+        export(ExportCfg(folder, tmp_path / "bundle"))
+    assert not (tmp_path / "bundle").exists()

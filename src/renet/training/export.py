@@ -2,7 +2,7 @@
 
 import io
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -48,17 +48,21 @@ from renet.tasks.entity import ACTION_CLIP
 from renet.tasks.mdp.commands import COMMAND
 from renet.training import checkpoint as checkpoints
 from renet.training.config import WithholdingCfg, from_dict
+from renet.training.provenance import to_json
 
 OPSET = 17
 """Version of ONNX's operators: old enough for the ONNX Runtime of a robot's computer, new enough
 for LayerNormalization."""
+DESCRIBED = {"scale", "stiffness", "damping", "effort_limit", "intrinsics", "position", "pitch"}
+DESCRIBED |= {"range", "period"}
+"""Settings of actions, actuators and camera that a manifest repeats."""
 
 
 def export(cfg: ExportCfg) -> Path:
     """Export a checkpoint and return the bundle's folder.
 
     Raises:
-        RenetError: The folder is no checkpoint of RENet.
+        RenetError: The folder is no checkpoint of RENet, or one of a changed robot or camera.
     """
     path = checkpoints.find(cfg.checkpoint)
     model = load_networks(path)
@@ -72,7 +76,11 @@ def export(cfg: ExportCfg) -> Path:
         twist = goals.get("told") == "twist"
     except (KeyError, TypeError, AttributeError) as error:
         raise RenetError(f"{path} is not a checkpoint of RENet: its state lacks {error}") from error
-    robot = env_cfg(provenance.task).robot if provenance.task else GO1
+    robot = GO1
+    if provenance.task:
+        task = env_cfg(provenance.task)
+        robot = task.robot
+        _check_described(to_json(task), state["env"], path)
     selector = SelectorSpec(
         beta=cfg.beta,
         calibration="none: run `renet calibrate`",
@@ -91,6 +99,52 @@ def export(cfg: ExportCfg) -> Path:
         PROPRIOCEPTION if twist else HEADING_PROPRIOCEPTION,
     )
     return write_bundle(cfg.out, export_models(model), manifest)
+
+
+def _check_described(task: dict[str, Any], trained: dict[str, Any], path: Path) -> None:
+    """Check that the manifest, which describes the task's robot and camera, holds for a checkpoint.
+
+    Args:
+        task: Settings of the registered task, as JSON.
+        trained: Settings with which the checkpoint was trained, as JSON.
+        path: The checkpoint.
+
+    Raises:
+        RenetError: It was trained with other gains, another scale of actions or another camera.
+    """
+    described = dict(_described(task))
+    for name, value in _described(trained):
+        if described.get(name, value) != value:
+            raise RenetError(
+                f"{path} was trained with {name} {value}; its task has {described[name]}, which a "
+                "bundle would tell the robot: register the changed robot as a task of its own, as "
+                "examples/add_robot.py does, and train that"
+            )
+
+
+def _described(env: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Yield names and values of a task's settings, as JSON, that a manifest repeats."""
+    scene = env.get("scene", {})
+    parts = {"actions": env.get("actions")}
+    parts["robot"] = scene.get("entities", {}).get("robot", {}).get("articulation")
+    for sensor in scene.get("sensors", []):
+        if "mount" in sensor:
+            parts[sensor["name"]] = sensor
+    yield from _leaves(parts, "")
+
+
+def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield names, with dots between levels, and values of the settings `DESCRIBED`."""
+    if isinstance(value, list) and all(isinstance(item, dict) for item in value):
+        value = {str(place): item for place, item in enumerate(value)}
+    if not isinstance(value, dict):
+        return
+    for key, item in value.items():
+        inner = f"{name}.{key}" if name else key
+        if key in DESCRIBED:
+            yield inner, item
+        else:
+            yield from _leaves(item, inner)
 
 
 def load_networks(path: Path) -> RENet:
