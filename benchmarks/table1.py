@@ -230,7 +230,8 @@ def judge_row(cfg: Cfg, row: Row, checkpoint: Path) -> None:
     """Run the terrain study of a row's last checkpoint and keep its results."""
     out = cfg.out / row.slug / "terrain"
     study = replace(cfg.study, out=out, modes=(row.mode,), bundle=None)
-    summary = study.run(CheckpointEvaluator(checkpoint, study.conditions, study.motors))
+    evaluator = CheckpointEvaluator(checkpoint, study.engine, study.conditions, study.motors)
+    summary = study.run(evaluator)
     steps, seconds, _ = progress(cfg, row)
     state = checkpoints.load_state(checkpoint)
     trained = {"steps": steps, "hours": seconds / 3600, "seed": cfg.seed, "code": state["code"]}

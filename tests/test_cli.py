@@ -137,9 +137,11 @@ def test_a_slow_command_speaks_at_once_and_once_for_all_ranks(capsys, monkeypatc
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, 0])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, 0])
 def test_an_interrupt_that_an_import_turns_into_an_error_is_one(capsys, monkeypatch, number):
     """As native modules do."""
+    # Under nohup the tests ignore it.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
     def load(*arguments):
         with suppress(KeyboardInterrupt):

@@ -14,6 +14,9 @@ const RARELY = 250;
 
 const stats = { simulated: 0, seconds: 0, pictures: 0, behind: 0, loaded: 0 };
 const message = document.querySelector("#message");
+/** Hidden from screen readers, which would read out every per cent. */
+const percent = Object.assign(document.createElement("span"), { ariaHidden: "true" });
+message.append(percent);
 let page;
 
 function say(words) {
@@ -76,7 +79,7 @@ try {
   const scene = readScene(location.search, contract);
   const read = countingReader(contract.sizes, scene.bundle, (share) => {
     stats.loaded = share;
-    if (!stats.ready) say(`Loading ${Math.floor(100 * share)} %`);
+    percent.textContent = ` ${Math.floor(100 * share)} %`;
   });
   const runtime = await loadRuntime(read, contract, scene.bundle);
   runtime.look = scene.bundle.look && (await loadLook(await read(scene.bundle.look)));

@@ -76,7 +76,10 @@ export class Page {
     $("#unseen").value = scene.conduct;
     const visit = (n) => (location.search = bundleLink(bundles[n], bundles));
     fillSelect($("#bundle"), bundles.map(({ title }, n) => ({ name: n, title })), visit);
-    $("#bundle").selectedIndex = bundles.indexOf(bundle);
+    // Browsers show a page that a visitor comes back to as it was left, with the robot that was chosen.
+    const nameBundle = () => ($("#bundle").selectedIndex = bundles.indexOf(bundle));
+    addEventListener("pageshow", nameBundle);
+    nameBundle();
     $("#bundle").hidden = bundles.length < 2;
     for (const button of ["#explain", "#close"]) $(button).addEventListener("click", () => this.explain());
     $("#about").textContent =
@@ -133,7 +136,8 @@ export class Page {
     this.tiles = faults.map(({ title, summary }, n) =>
       tile(title, n < KEYS ? `${summary} (${n + 1})` : summary, () => this.breakCamera(n)),
     );
-    const more = tile("More", "More faults", () => $("#faults").classList.toggle("all"));
+    const more = tile("More", "More faults", () => expand(more, $("#faults").classList.toggle("all")));
+    expand(more, false);
     more.querySelector("canvas").remove();
     more.id = "more";
     this.tiles.slice(PICTURES).forEach((button) => button.classList.add("extra"));
@@ -246,6 +250,7 @@ export class Page {
   explain() {
     const hood = $("#hood");
     hood.hidden = !hood.hidden;
+    expand($("#explain"), !hood.hidden);
     $(hood.hidden ? "#explain" : "#close").focus();
   }
 
@@ -340,3 +345,4 @@ function asSentence(words) {
 }
 
 const press = (button, down) => button.setAttribute("aria-pressed", String(down));
+const expand = (button, open) => button.setAttribute("aria-expanded", String(open));

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,10 +81,14 @@ class CheckpointEvaluator(Evaluator):
     privileged = ("height_map",)
 
     def __init__(
-        self, path: Path, conditions: Conditions = "training", motors: str = IDEAL
+        self,
+        path: Path,
+        engine: str = "auto",
+        conditions: Conditions = "training",
+        motors: str = IDEAL,
     ) -> None:
         """Load a checkpoint; raises RenetError where it is damaged."""
-        super().__init__(conditions=conditions, motors=motors)
+        super().__init__(None, engine, conditions, motors)
         self._model = load_networks(path)
         self._name = path.name
         digest = hashlib.sha256()
@@ -97,4 +102,4 @@ class CheckpointEvaluator(Evaluator):
 
     def provenance(self, seed: int) -> Provenance:
         """The checkpoint's name and hash in place of a bundle's."""
-        return Provenance(self._name, self._digest, "native", seed)
+        return replace(super().provenance(seed), bundle=self._name, bundle_hash=self._digest)

@@ -150,6 +150,21 @@ def test_nothing_is_done_twice(done, monkeypatch) -> None:
     table1.main(cfg)
 
 
+def test_a_checkpoint_is_judged_with_the_engine_of_the_study(monkeypatch, tmp_path) -> None:
+    judges = []
+
+    def run(study, evaluator):
+        judges.append(evaluator)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(TerrainStudy, "run", run)
+    (checkpoint,) = (Path(renet.__file__).parent / "pretrained" / "checkpoint").glob("it_*")
+    cfg = table1.Cfg(out=tmp_path, study=replace(STUDY, engine="warp"))
+    with pytest.raises(KeyboardInterrupt):
+        table1.judge_row(cfg, ORACLE, checkpoint)
+    assert judges[0].engine == judges[0].provenance(1).engine == "warp"
+
+
 def test_a_damaged_or_foreign_folder_is_refused(done, tmp_path) -> None:
     cfg, _, _ = done
     shutil.copytree(cfg.out, tmp_path, dirs_exist_ok=True)

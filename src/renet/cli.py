@@ -229,7 +229,8 @@ def main(argv: list[str] | None = None) -> int:
         interrupts.append(number)
         raise KeyboardInterrupt
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    # A command that is ended closes what it holds, such as a terminal without an echo.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         main_thread = threading.current_thread() is threading.main_thread()
         if main_thread and signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, interrupt)

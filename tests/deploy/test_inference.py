@@ -65,6 +65,7 @@ def test_a_result_that_is_late_by_a_whole_tick_costs_vision(walk):
     walk.controller.policy.inference.take = lambda: None
     assert not any(walk.ticks(40)[10:])
     assert walk.controller.decision.mode is Mode.WALKING
+    assert walk.whats().count("inference") == 1
 
 
 def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(estimator, walk):
@@ -75,6 +76,7 @@ def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(estimator, walk):
     assert not any(walk.ticks(40)[20:])
     assert controller.decision.anomaly == np.inf
     assert controller.decision.mode is Mode.WALKING
+    assert walk.whats().count("inference") == 1
     assert not np.array_equal(before, controller.policy.latent_op), "OP's estimator goes on"
     released.set()
     until(inference._tick.done)
@@ -82,6 +84,11 @@ def test_a_stuck_vision_thread_leaves_the_robot_walking_on_op(estimator, walk):
     assert not controller.decision.inferred, "its tick was made up for"
     inference.patience = 5.0
     assert all(walk.ticks(200)[-50:]), "vision comes back"
+    released.clear()
+    inference.patience = 0.001
+    walk.ticks(40)
+    assert walk.whats().count("inference") == 2, "told again"
+    released.set()
 
 
 def test_a_tick_that_a_brake_cut_off_does_not_blind_the_next_walk(estimator, walk):

@@ -104,6 +104,7 @@ class FakeEvaluator:
     terrain_env_cfg = Evaluator.terrain_env_cfg
     set_conditions = Evaluator.set_conditions
     conditions = "nominal"
+    training_sha256 = "0" * 64
 
     def __init__(self, env: type[FakeEnv] = FakeEnv, policy: type[FakePolicy] = FakePolicy) -> None:
         self.env, self.policy = env, policy

@@ -80,6 +80,24 @@ def test_the_conditions_of_a_given_evaluator_are_stated_and_kept_apart(tmp_path)
     assert study.part_maker(evaluator).missing(parts) == parts
 
 
+@pytest.mark.parametrize(
+    ("part", "change"),
+    [("camera", {"noise_std": 0.02}), ("provenance", {"task": "Renet-Go1-Flat"})],
+)
+def test_a_bundle_with_another_camera_or_task_makes_all_parts_anew(tmp_path, part, change):
+    folder = tmp_path / "bundle"
+    shutil.copytree(pretrained("go1-parkour"), folder)
+    study = replace(TINY["memory"], out=tmp_path / "out", bundle=folder)
+    parts = study.part_maker()
+    for name in parts.makers:
+        parts.makers[name] = lambda: {"runs": []}
+        parts(name)
+    assert study.part_maker().missing(parts.makers) == []
+    manifest = read_manifest(folder)
+    write_manifest(folder, replace(manifest, **{part: replace(getattr(manifest, part), **change)}))
+    assert study.part_maker().missing(parts.makers) == list(parts.makers)
+
+
 def test_presets_are_chosen_on_the_command_line(capsys):
     folders = {"faults": "faults", "faults --preset noise": "noise"}
     folders |= {"terrain --preset=success": "success", "terrain --preset standing": "standing"}

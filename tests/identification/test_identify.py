@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 
 from renet.cli import main
+from renet.deploy.recording.channels import Topic
+from renet.deploy.recording.tick import GOOD, TICK_DTYPE
 from renet.errors import RenetError
 from renet.identification.identify import IdentifyCfg, look_up_robot, root_mean_squares
 from renet.interface import JOINTS
 from renet.motors import PARAMETERS, read_motors
 
+from ..hostile.files import messages, recording
 from .conftest import MOTORS, named, write_csv
 
 CLOSE = {"armature": 0.002, "damping": 0.03, "friction": 0.03, "delay": 0.001}
@@ -124,6 +127,22 @@ def test_without_scipy(monkeypatch, capsys, tmp_path):
     err = capsys.readouterr().err
     assert "`renet identify` needs scipy.optimize: in a clone of renet, run pip install" in err
     assert "[train]" in err
+
+
+def test_a_recording_of_another_robot_is_refused(tmp_path, capsys):
+    rows = np.zeros(12, TICK_DTYPE)
+    rows["now"] = 0.02 * np.arange(12)
+    rows["state"] = GOOD
+    rows["stiffness"] = 20.0
+    log = tmp_path / "recording.mcap"
+    arguments = ["identify", str(log), "--out", str(tmp_path / "motors.json"), "--robot", "go2"]
+    log.write_bytes(recording([(Topic.RUN, b'{"robot": "go1"}')], messages(rows)))
+    assert main(arguments) == 2
+    assert "the log is of a Unitree Go1, not of a Unitree Go2" in capsys.readouterr().err
+    # Simulated robots are not named.
+    log.write_bytes(recording([(Topic.RUN, b'{"robot": "mujoco"}')], messages(rows)))
+    assert main(arguments) == 2
+    assert "the log has 0.2 s" in capsys.readouterr().err
 
 
 def test_robots_by_name():

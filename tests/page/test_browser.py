@@ -70,6 +70,13 @@ def test_a_go2_stands_up_and_a_visitor_changes_to_the_go1(visit):
     parts = [f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")]
     drawn = one.its("runtime.look.map(({ name }) => name.split('-')[0])")
     assert {*drawn} == {TRUNK, *parts}, "by its own meshes"
+    # A page that a visitor comes back to has the menu of when it was left.
+    menu = one.page.locator("#bundle")
+    begun = menu.input_value()
+    menu.evaluate("menu => { menu.selectedIndex = 1 - menu.selectedIndex % 2; }")
+    assert menu.input_value() != begun
+    one.ask("dispatchEvent(new PageTransitionEvent('pageshow', { persisted: true }))")
+    assert menu.input_value() == begun
     one.page.select_option("#bundle", label="Go1 · parkour")
     one.until("globalThis.renetPage?.page.runtime.bundle.robot === 'Unitree Go1'")
     assert "?robot=go1&bundle=go1-parkour&ground=" in one.page.url
@@ -107,7 +114,9 @@ def test_a_wrong_link_is_corrected_and_everything_can_be_reached_with_tab(visit)
     assert one.its("scene.severity") == 5
     assert one.its("scene.conduct") == "walk"
     assert one.its("scene.ground.name") == one.its("runtime.bundle.opening.ground")
+    assert one.page.get_attribute("#more", "aria-expanded") == "false"
     one.page.click("#more")
+    assert one.page.get_attribute("#more", "aria-expanded") == "true"
     fields = one.ask(
         """[...document.querySelectorAll("button, select, input")].map((field) => [
           field.tabIndex, field.ariaLabel || field.textContent || field.labels[0].textContent])"""
@@ -136,6 +145,8 @@ def test_first_pictures_are_the_golden_ones(visit, robot):
     one.page.route("**/*.onnx", lambda route: None)
     one.load("renetPage.stats.loaded > 0.5")
     assert "%" in one.page.text_content("#message")
+    # Of a status, screen readers would read out every per cent.
+    assert one.page.locator("#message").aria_snapshot() == "- status: Loading"
     one.ask("document.querySelector('#message').style.opacity = 0")
 
     def demand(name: str) -> None:

@@ -64,10 +64,12 @@ def test_every_control_answers_to_keys(visit):
         assert f"unseen={conduct}" in one.page.url
     one.press("i")
     assert one.page.locator("#hood").is_visible()
+    assert one.page.get_attribute("#explain", "aria-expanded") == "true"
     assert one.page.locator("#unseen").input_value() == "stop"
     one.until("renetPage.page.panels[1].curves.points.length > 3")
     one.press("i")
     assert one.page.locator("#hood").is_hidden()
+    assert one.page.get_attribute("#explain", "aria-expanded") == "false"
     one.press("t")
     one.until("renetPage.page.now < 1 && !renetPage.page.resetDue")
     assert one.its("scene.ground.name") == "gap"
@@ -203,7 +205,7 @@ def test_a_fault_behind_more_is_shown_while_it_is_at_work(visit):
 def plug_in(one: Visit, mapping: str) -> None:
     one.ask(
         f"""{{ const event = new Event("gamepadconnected");
-        event.gamepad = {{ mapping: "{mapping}" }};
+        event.gamepad = {{ ...renetPad, mapping: "{mapping}" }};
         dispatchEvent(event); }} 0"""
     )
 
@@ -246,6 +248,8 @@ def test_a_gamepad_with_a_single_stick_goes(driven):
     """Chromium calls a Joy-Con, which has two axes, standard."""
     driven.ask(GAMEPAD)
     driven.ask("renetPad.axes = [0, 0]")
+    plug_in(driven, "standard")
+    driven.until("document.querySelector('#message').textContent.includes('its stick goes')")
     begun = driven.its("now")
     driven.until(f"renetPage.page.now > {begun} + 0.1")
     assert not driven.its("driver.driven")

@@ -21,6 +21,9 @@ from renet.interface import CONTROL_DT, STEPS_PER_TICK
 from renet.models.config import ModelCfg
 from renet.models.renet import RENet
 from renet.pilot import PILOT_MODES, Images, Pilot
+from renet.pilot.inference import InlineInference
+from renet.pilot.policy import BundlePolicy
+from renet.pilot.tick import EstimatorOutput
 from renet.training.export import export_models
 
 WALKS = np.load(Path(__file__).with_name("data") / "walks.npz")
@@ -253,6 +256,30 @@ def test_time_that_runs_back_is_refused_and_changes_nothing(shipped, now, messag
     assert "\n" not in str(refused.value)
     after = [one.step(observed(1), None, 1.02) for one in (pilot, untouched)]
     np.testing.assert_array_equal(after[0].action, after[1].action)
+
+
+class LateInference(InlineInference):
+    """Gives the results of a tick one control step later."""
+
+    late = True
+
+    def take(self) -> EstimatorOutput | None:
+        self.late = not self.late
+        return super().take() if self.late else None
+
+
+def test_selectors_are_told_that_scores_are_late(shipped):
+    images = Images(ground(0), np.ones(1, bool), np.zeros(1), np.zeros(1))
+    policy = BundlePolicy(shipped, inference=LateInference)
+    for pilot, scored in (
+        (Pilot.of(shipped), [True]),
+        (Pilot.of(shipped, policy=policy), [False, True]),
+    ):
+        found = []
+        for step in range(len(scored)):
+            pilot.act(observed(step), images)
+            found.append(pilot.seen(images).scored)
+        assert found == scored
 
 
 def test_time_may_stand_still_and_begin_anew_after_a_reset(shipped):

@@ -30,9 +30,20 @@ class Walk:
         self.run(healthy)
 
     def tick(
-        self, variance=1.0, fresh=True, age=0.0, map_error=0.1, apart=0.0, image=None, surprise=0.3
+        self,
+        variance=1.0,
+        fresh=True,
+        age=0.0,
+        map_error=0.1,
+        apart=0.0,
+        image=None,
+        surprise=0.3,
+        late=False,
     ):
-        """One tick and its twenty updates; returns the state after it."""
+        """One tick and its twenty updates; returns the state after it.
+
+        Where it is late, its surprise is there from the next control step on.
+        """
         if fresh:
             self.image = self.random.random((1, 48, 64)) if image is None else image.copy()
         given = replace(
@@ -52,7 +63,10 @@ class Walk:
         now = TICK * next(self.ticks)
         for update in range(20):
             new = replace(given, fresh=given.fresh & (update == 0), has_image=has_image)
+            if late and update < 4:
+                new = replace(new, surprise=self.surprise, scored=False)
             self.selector.update(new, now + update / 200)
+        self.surprise = given.surprise
         return str(self.selector.state[0])
 
     def run(self, ticks: int, **given) -> list[str]:
@@ -80,9 +94,10 @@ def test_a_spoilt_image_is_withheld_at_once_and_a_good_one_used_again(spoilt, re
     assert walk.selector.without_image[0] == 0
 
 
-def test_a_lie_that_surprises_now_and_then_is_never_believed():
+@pytest.mark.parametrize("late", [False, True])
+def test_a_lie_that_surprises_now_and_then_is_never_believed(late):
     walk = Walk()
-    lies = [walk.tick(surprise=2.0 if tick % 6 < 2 else 1.0) for tick in range(12)]
+    lies = [walk.tick(surprise=2.0 if tick % 6 < 2 else 1.0, late=late) for tick in range(12)]
     assert lies == [REMEMBERS] * 12
     assert walk.run(STEADY)[-2:] == [REMEMBERS, SEES]
 

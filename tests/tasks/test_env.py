@@ -2,6 +2,7 @@
 
 import sys
 from copy import deepcopy
+from dataclasses import replace
 
 import pytest
 import torch
@@ -215,6 +216,12 @@ def test_nan_weight_is_refused(weight):
     cfg.rewards["yaw"].weight = weight
     with pytest.raises(RenetError, match="weight of the reward yaw is"):
         make_env(cfg, 1)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan")])
+def test_an_episode_without_length_is_refused(seconds):
+    with pytest.raises(RenetError, match="episode_length_s must be above 0"):
+        replace(flat_env_cfg(), episode_length_s=seconds)
 
 
 def test_an_environment_without_robots_is_refused():

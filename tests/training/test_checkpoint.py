@@ -38,6 +38,20 @@ def test_what_a_kill_left_of_an_old_checkpoint_goes_with_the_next(tmp_path: Path
     assert {path.name for path in tmp_path.iterdir()} == {"it_00000003", "it_00000009"}
 
 
+def test_what_a_kill_left_of_a_new_checkpoint_goes_with_the_next(tmp_path: Path):
+    """Not folders that are named alike, hold somebody's notes as well, or lie behind a link."""
+    partial = ".it_00000007.0123456789abcdef.partial"
+    others = (".it_7.partial", ".notes.0123456789abcdef.partial", partial.replace("0123", "3210"))
+    for name in (partial, *others):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "state.json").write_text("{}")
+    (tmp_path / others[-1] / "notes.txt").write_text("mine")
+    (tmp_path / partial.replace("007", "008")).symlink_to(others[0])
+    save(Checkpoint({}, {}, {}), tmp_path, 9, keep=1)
+    left = {*others, partial.replace("007", "008"), "it_00000009"}
+    assert {path.name for path in tmp_path.iterdir()} == left
+
+
 @pytest.mark.parametrize("name", ["model", "average"])
 def test_weights_of_other_sizes_are_refused(tmp_path: Path, name: str, monkeypatch):
     """Before any of them takes memory."""

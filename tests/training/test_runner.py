@@ -142,6 +142,8 @@ def test_refuses_weights_of_another_architecture(tmp_path):
         (lambda: RenetRunnerCfg(num_steps_per_env=0), "num-steps-per-env must be at least 1"),
         (lambda: RenetRunnerCfg(save_interval=0), "save-interval must be at least 1"),
         (lambda: RenetRunnerCfg(keep_checkpoints=-1), "keep-checkpoints must be at least 1"),
+        (lambda: RenetRunnerCfg(clip_actions=-1.0), "clip-actions must be above 0, got -1.0"),
+        (lambda: RenetRunnerCfg(clip_actions=math.nan), "clip-actions must be above 0"),
         (lambda: NP3OCfg(num_mini_batches=0), "num-mini-batches must be at least 1"),
         (lambda: SupervisionCfg(num_learning_epochs=0), "num-learning-epochs must be at least 1"),
         (lambda: AdaptationCfg(period=0), "period must be at least 1"),

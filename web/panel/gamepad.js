@@ -5,6 +5,7 @@ const STICKS = [{ left: 0, forward: 1 }, { turnRate: 2 }];
 /** Buttons that ask to stand: the lower and the right one of four. */
 const STOPS = [0, 1];
 const FOUND = "Gamepad: the left stick goes, the right one turns.";
+const SINGLE = "Gamepad: its stick goes; A and D turn.";
 const UNKNOWN = "The browser does not know this gamepad's sticks: take an Xbox or a PlayStation pad.";
 
 /** Steers by the first gamepad with known sticks. */
@@ -17,7 +18,7 @@ export class Gamepad {
     this.driver = driver;
     /** Whether each stick was out of its middle when it was last read. */
     this.steers = STICKS.map(() => false);
-    addEventListener("gamepadconnected", ({ gamepad }) => onNotice(isKnown(gamepad) ? FOUND : UNKNOWN));
+    addEventListener("gamepadconnected", ({ gamepad }) => onNotice(greeting(gamepad)));
   }
 
   /** Read the gamepad; to be called in every control step, for gamepads send no events. */
@@ -49,6 +50,11 @@ function findPad() {
     // A page that shows this one in a frame may forbid gamepads.
     return undefined;
   }
+}
+
+function greeting(pad) {
+  if (!isKnown(pad)) return UNKNOWN;
+  return pad.axes.length > STICKS[1].turnRate ? FOUND : SINGLE;
 }
 
 function isKnown(pad) {

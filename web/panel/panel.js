@@ -57,8 +57,8 @@ export class Panel {
   /** Keep one control step for the curves. */
   note({ now, state, camera, controller: { policy, selector } }) {
     const monitor = selector.monitors.find(({ output }) => output);
-    const surprise = monitor ? policy[monitor.output] / monitor.threshold : 0;
-    this.curves.add({ now, surprise, trust: selector.probability, state, broken: camera.broken(now) });
+    const anomaly = monitor ? policy[monitor.output] / monitor.threshold : 0;
+    this.curves.add({ now, anomaly, trust: selector.probability, state, broken: camera.broken(now) });
   }
 
   /** Show a simulation as it is now; `outcome` in words. */

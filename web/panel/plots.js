@@ -6,12 +6,12 @@ const SPAN = 12;
 /** Seconds that the curves show. */
 const EVERY = 0.1;
 /** Seconds between their points. */
-const SURPRISE = [0.01, 100];
+const ANOMALY = [0.01, 100];
 /** Ends of its logarithmic axis. */
 const HEIGHT = 150;
 const STRIP = 7;
 /** Heights of a plot, and of the strip of states in it, in pixels. */
-const INK = { surprise: "#f4a3a3", trust: "#ffffff", axis: "#aeb8c4", grid: "#ffffff1c", fault: "#e0484833" };
+const INK = { anomaly: "#f4a3a3", trust: "#ffffff", axis: "#aeb8c4", grid: "#ffffff1c", fault: "#e0484833" };
 const NEAR_TO_FAR = ["#000004", "#3b0f70", "#8c2981", "#de4968", "#fe9f6d", "#fcfdbf"];
 const table = colourTable();
 
@@ -35,7 +35,7 @@ export function drawDepth(canvas, image) {
   context.putImageData(picture, 0, 0);
 }
 
-/** Surprise against its limit, trust, and the state, over the last seconds. */
+/** Anomaly against its limit, trust, and the state, over the last seconds. */
 export class Curves {
   constructor(box, palette) {
     this.box = box;
@@ -47,15 +47,15 @@ export class Curves {
       height: HEIGHT,
       legend: { show: false },
       cursor: { show: false },
-      scales: { x: { time: false }, surprise: { distr: 3, range: SURPRISE }, trust: { range: [0, 1] } },
+      scales: { x: { time: false }, anomaly: { distr: 3, range: ANOMALY }, trust: { range: [0, 1] } },
       axes: [
         { ...axis, size: 22 },
-        { ...axis, scale: "surprise", values: (_, ticks) => ticks.map((tick) => ([0.01, 1, 100].includes(tick) ? tick : "")) },
+        { ...axis, scale: "anomaly", values: (_, ticks) => ticks.map((tick) => ([0.01, 1, 100].includes(tick) ? tick : "")) },
         { ...axis, scale: "trust", side: 1, grid: { show: false }, splits: () => [0, 0.5, 1] },
       ],
       series: [
         {},
-        { scale: "surprise", stroke: INK.surprise, width: 1.5, points: { show: false } },
+        { scale: "anomaly", stroke: INK.anomaly, width: 1.5, points: { show: false } },
         { scale: "trust", stroke: INK.trust, width: 1.5, points: { show: false } },
       ],
       hooks: { drawClear: [(plot) => this.drawStates(plot)] },
@@ -63,7 +63,7 @@ export class Curves {
     this.plot = new uPlot(options, [[], [], []], box);
   }
 
-  /** Keep a control step: now, surprise (1: the limit), trust, state (or ""), broken. */
+  /** Keep a control step: now, anomaly (1: the limit), trust, state (or ""), broken. */
   add(point) {
     const last = this.points.at(-1);
     if (last && point.now < last.now + EVERY - 1e-9 && point.now >= last.now) return;
@@ -77,8 +77,8 @@ export class Curves {
     if (points.length < 2 || !box.clientWidth) return;
     if (plot.width !== box.clientWidth) plot.setSize({ width: box.clientWidth, height: HEIGHT });
     const now = points.at(-1).now;
-    const surprise = points.map((p) => p.state && Math.min(Math.max(p.surprise, SURPRISE[0]), SURPRISE[1]));
-    plot.setData([points.map((p) => p.now), surprise.map((value) => value || null), points.map((p) => p.trust)], false);
+    const anomaly = points.map((p) => p.state && Math.min(Math.max(p.anomaly, ANOMALY[0]), ANOMALY[1]));
+    plot.setData([points.map((p) => p.now), anomaly.map((value) => value || null), points.map((p) => p.trust)], false);
     plot.setScale("x", { min: Math.max(now - SPAN, 0), max: Math.max(now, SPAN) });
   }
 
@@ -92,8 +92,8 @@ export class Curves {
       const strip = bbox.top + bbox.height - STRIP * devicePixelRatio;
       if (colour) fill(ctx, colour, from, strip, to + 1, bbox.top + bbox.height);
     });
-    const limit = valToPos(1, "surprise", true);
-    fill(ctx, INK.surprise, bbox.left, limit, bbox.left + bbox.width, limit + 1);
+    const limit = valToPos(1, "anomaly", true);
+    fill(ctx, INK.anomaly, bbox.left, limit, bbox.left + bbox.width, limit + 1);
   }
 }
 

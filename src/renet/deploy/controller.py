@@ -239,6 +239,7 @@ class Controller:
         self._refused = False
         self._state = SEES
         self._unseen = False
+        self._fallback = False
 
     def _walk(self, state: RobotState, teleop: TeleopCommand, now: float) -> JointCommand:
         """Let the pilot decide a step of a walk; raises RenetError if it is not finite."""
@@ -251,8 +252,7 @@ class Controller:
             x, y, z = self.pilot.command[0].tolist()
             self._told = (x, y, z)
             self._steering.slow(self._told)
-        if step.fallback:
-            self.tell(now, "inference", f"{LATE}: this tick runs blind")
+        self._tell_fallback(step, now)
         if self.policy.op_lost[0]:
             raise RenetError("what the OP estimator found is not finite")
         action = step.action[0]
@@ -278,6 +278,13 @@ class Controller:
             self._refused = True
             self.tell(now, "refused", steering.refused)
         return told
+
+    def _tell_fallback(self, step: Step, now: float) -> None:
+        """Tell once, until a result of vision's thread is in time, that a tick runs blind."""
+        if step.fallback and not self._fallback:
+            self.tell(now, "inference", f"{LATE}: this tick runs blind")
+        if step.inferred:
+            self._fallback = step.fallback
 
     def _tell_state(self, step: Step, now: float) -> None:
         """Tell that the robot now sees, remembers or is blind, if that has changed."""

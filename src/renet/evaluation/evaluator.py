@@ -1,5 +1,8 @@
 """Evaluator of studies: a bundle, its policy and selector, and environments for them."""
 
+import dataclasses
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -82,6 +85,17 @@ class Evaluator:
     def thresholds(self) -> dict[str, float]:
         """Thresholds of the monitors of mode memory, by name."""
         return self.bundle.manifest.selector.used_thresholds
+
+    @property
+    def training_sha256(self) -> str:
+        """Hexadecimal SHA-256 of the robot, the camera and the task that the bundle was trained on.
+
+        Environments are made from them, and `Bundle.sha256` leaves them out.
+        """
+        manifest = self.bundle.manifest
+        parts = [dataclasses.asdict(manifest.robot), dataclasses.asdict(manifest.camera)]
+        content = json.dumps([*parts, manifest.provenance.task, manifest.told], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()
 
     def provenance(self, seed: int) -> Provenance:
         """Provenance of numbers that are made with this bundle now."""

@@ -164,6 +164,7 @@ class Study:
         key["conditions"] = evaluator.conditions
         for name in ("bundle_hash", "renet_version", "commit"):
             key[name] = getattr(provenance, name)
+        key["training_sha256"] = evaluator.training_sha256
         # A file's content counts, not its name.
         key |= self.file_digests()
         key["policy"] = type(evaluator).make_policy.__qualname__

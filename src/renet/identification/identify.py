@@ -76,11 +76,13 @@ def identify(cfg: IdentifyCfg) -> Path:
     """Fit motors to the first part of a log, judge them on the rest and write them; returns `out`.
 
     Raises:
-        RenetError: The log cannot be used, the robot is unknown, or the file cannot be written.
+        RenetError: The log cannot be used or is of another robot, the robot is unknown, or the file
+            cannot be written.
     """
     description = look_up_robot(cfg.robot)
     _check_out(cfg.out)
     log = read_motion_log(cfg.log, cfg.csv)
+    _check_robot(description, log)
     robot = SuspendedRobot(description, log, cfg.timestep)
     fitted, held_out = _split(log, cfg.fit_share)
     _check_positions(robot, log)
@@ -106,6 +108,17 @@ def look_up_robot(name: str) -> Robot:
         if name.lower() in (description.name.lower(), description.name.lower().split()[-1]):
             return description
     raise unknown_name("robot", name, robots())
+
+
+def _check_robot(description: Robot, log: MotionLog) -> None:
+    """Raise RenetError if a log is a recording of another robot that has a description."""
+    try:
+        recorded = look_up_robot(log.robot)
+    except RenetError:
+        # CSV files name no robot, and a simulated robot's driver is none of them.
+        return
+    if recorded.name != description.name:
+        raise RenetError(f"the log is of a {recorded.name}, not of a {description.name}")
 
 
 def _say(line: str) -> None:

@@ -105,6 +105,8 @@ class MotionLog:
     """Kd of the servos, [12] N m s/rad."""
     sha256: str = field(default="", repr=False)
     """SHA-256 of the file, hexadecimal."""
+    robot: str = ""
+    """Name of the driver in a recording's header, such as go1; empty for a CSV file."""
 
     def __len__(self) -> int:
         return len(self.target)
@@ -291,4 +293,5 @@ def _from_recording(path: Path, csv: CsvCfg, sha256: str) -> MotionLog:
         stiffness=ticks["stiffness"][rows][0],
         damping=ticks["damping"][rows][0],
         sha256=sha256,
+        robot=str(run.header.get("robot", "")),
     )

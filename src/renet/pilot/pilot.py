@@ -367,6 +367,7 @@ class Pilot:
             stillness=getattr(policy, "stillness", zero),
             has_image=getattr(policy, "has_image", zero == 0.0),
             map_error=getattr(policy, "map_error", zero),
+            scored=getattr(policy, "inferred", True),
         )
 
     def _heed_unseen(self, observation: np.ndarray) -> np.ndarray:

@@ -63,6 +63,9 @@ class SelectorInput:
     """True where VP's newest tick had an image, [N] bool."""
     map_error: np.ndarray = field(default_factory=_absent)
     """Error of the height map ahead that VP expects, [N] m; zero if the model predicts none."""
+    scored: bool = True
+    """False while the vision model has not judged the newest images yet: scores are of earlier
+    ones."""
 
 
 @dataclass(frozen=True)

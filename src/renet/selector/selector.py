@@ -171,6 +171,7 @@ class MonitorSelector:
         # State of the monitors and of the filter.
         self._scorer = Scorer(num_robots)
         self._looked = False
+        self._unscored = False
         self._steady = np.full(num_robots, STEADY)
         self._is_new = np.zeros(num_robots, bool)
         self._surprised = np.zeros(num_robots, bool)
@@ -196,6 +197,7 @@ class MonitorSelector:
         """
         verdicts = self._verdicts(seen, self._before_vision)
         self._looked = True
+        self._unscored = True
         if not self.longest_memory:
             return Gate.open(seen.fresh)
         late = seen.age >= self.thresholds.get("frame_age", math.inf)
@@ -216,8 +218,10 @@ class MonitorSelector:
         Returns:
             True where VP drives, [N] bool.
         """
-        if self._looked:
+        # Once in every tick, as soon as its scores are there.
+        if self._unscored and seen.scored:
             self._heed_surprise(seen)
+            self._unscored = False
         # `look` has counted these images.
         if self._looked and seen.fresh.any():
             seen = replace(seen, fresh=np.zeros_like(seen.fresh))

@@ -34,6 +34,11 @@ class RenetEnvCfg(ManagerBasedRlEnvCfg):
     motors: MotorsCfg = field(default_factory=MotorsCfg)
     """Delays of joint targets, and torque–speed curves."""
 
+    def __post_init__(self) -> None:
+        # False for NaN, too.
+        if not self.episode_length_s > 0.0:
+            raise RenetError(f"episode_length_s must be above 0, got {self.episode_length_s}")
+
 
 class RenetEnv(ManagerBasedRlEnv):
     """mjlab's environment, which is faster on the native CPU engine."""

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from renet.errors import RenetError
-from renet.files import MEGABYTE, read_object, require_regular
+from renet.files import MEGABYTE, is_temporary, read_object, require_regular
 from renet.folders import foreign, remove_folder, write_folder
 from renet.models.config import ModelCfg
 from renet.training.provenance import to_json
@@ -103,11 +103,14 @@ def save(checkpoint: Checkpoint, folder: Path, iteration: int, keep: int) -> Pat
 
 
 def _torn(folder: Path) -> list[Path]:
-    """List checkpoints whose removal was killed: they have no state any more."""
+    """List checkpoints whose writing or removal was killed."""
     torn = []
     for path in folder.iterdir():
-        is_checkpoint = _has_checkpoint_name(path) and path.is_dir()
-        if is_checkpoint and not (path / "state.json").exists() and foreign(path, FILES) is None:
+        # Without a state, it was being removed.
+        removed = _has_checkpoint_name(path) and not (path / "state.json").exists()
+        written = is_temporary(path.name) and path.name.startswith(".it_")
+        regular = path.is_dir() and not path.is_symlink()
+        if regular and (removed or written) and foreign(path, FILES) is None:
             torn.append(path)
     return torn
 

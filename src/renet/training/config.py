@@ -209,6 +209,8 @@ class RenetRunnerCfg(RslRlBaseRunnerCfg):
 
     def __post_init__(self) -> None:
         _check_positive(self, "save_interval", "keep_checkpoints", "average_over")
+        if self.clip_actions is not None and not self.clip_actions > 0.0:
+            raise RenetError(f"clip-actions must be above 0, got {self.clip_actions}")
         # Raises if the schedule cannot be read.
         value_at(self.batch_size, 0.0)
         if self.num_steps_per_env is None:

@@ -2,6 +2,7 @@
 
 import math
 import os
+import threading
 from contextlib import nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -251,6 +252,24 @@ def test_a_full_disk_ends_the_log_and_not_the_flight(bundle, tmp_path, monkeypat
     assert log._chunks.empty(), "nothing piles up in memory"
     log.close()
     assert "ends early" in log.problem
+
+
+def test_a_disk_that_catches_up_at_the_end_of_a_run_loses_nothing(tmp_path, monkeypatch):
+    stalled = threading.Event()
+    fsync = os.fsync
+    monkeypatch.setattr(recorder, "MAX_CHUNKS", 1)
+    monkeypatch.setattr(recorder.os, "fsync", lambda file: stalled.wait() and fsync(file))
+    log = Recorder(tmp_path / "a.mcap", {})
+    # The disk is at the header.
+    until(log._chunks.empty)
+    decision = Controller(Bundle.load()).decision
+    for step in range(51):
+        log.append(None, None, TeleopCommand(), time_of(step), decision, 0.0)
+    threading.Timer(0.2, stalled.set).start()
+    log.close()
+    assert log.problem == ""
+    flight = read_recording(tmp_path / "a.mcap")
+    assert (len(flight.ticks), flight.complete) == (51, True)
 
 
 def test_a_writing_thread_that_fails_in_any_way_is_told(tmp_path, monkeypatch):

@@ -1,8 +1,8 @@
 """Rows and results of the benchmark, made up."""
 
-from renet.evaluation.benchmark.scores import score_rows
+import hashlib
 
-SHA = "a" * 64
+from renet.evaluation.benchmark.scores import score_rows
 
 
 def row(episode, crossed, obstacles=2, entry="memory", **others):
@@ -28,11 +28,12 @@ def row(episode, crossed, obstacles=2, entry="memory", **others):
 def result(crossed, name="ours", method=None, entry="memory", episodes="quick"):
     """A result whose episodes have so many obstacles crossed, of two each."""
     rows = [row(i, c, entry=entry) for i, c in enumerate(crossed)]
+    sha256 = hashlib.sha256(name.encode()).hexdigest()
     return {
         "benchmark": "renet-faults",
         "version": 3,
         "episodes": episodes,
-        "policy": {"name": name, "method": method or name, "robot": "Go1", "sha256": SHA},
+        "policy": {"name": name, "method": method or name, "robot": "Go1", "sha256": sha256},
         "provenance": {"renet": "0", "commit": None, "engine": "native", "command": "", "date": ""},
         "scores": {entry: score_rows(rows)},
         "rows": rows,

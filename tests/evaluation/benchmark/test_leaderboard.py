@@ -72,9 +72,18 @@ def test_two_trainings_do_not_count_every_episode_twice():
     assert rows[0][header.index("over")] == "episodes"
 
 
+def test_a_policy_is_one_training_however_often_it_is_given():
+    copies = [result(GOOD, "first", "ours"), result(BAD, "second", "ours")]
+    with pytest.raises(RenetError, match=r"ours, memory, are of one policy, first [0-9a-f]{12}:"):
+        leaderboard.ranking([*copies, copies[0]])
+    # Its entries may lie in several files.
+    others = [result(GOOD, "first", "ours", entry) for entry in ("memory", "switch")]
+    assert len(leaderboard.ranking(others)[2]) == 2
+
+
 def test_different_episodes_are_not_compared():
     with pytest.raises(RenetError, match="results of the same episodes"):
-        leaderboard.ranking([result(GOOD), result([2] * 200, episodes="full")])
+        leaderboard.ranking([result(GOOD), result([2] * 200, "other", episodes="full")])
 
 
 HOSTILE = (

@@ -1,5 +1,8 @@
+from itertools import product
+
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from renet.evaluation.studies.fault_findings import findings, harmful, missed
 
@@ -51,7 +54,7 @@ def test_severities_and_onsets_are_judged_together_and_grounds_apart():
     rows = [run("foam", "camera", 3), run("foam", "memory", detected=0)]
     later = ({"severity": 5, "onset": onset, "falls": 6} for onset in (1.5, 2.5, 3.5))
     worse = [row | change for change in later for row in rows]
-    # 3 of 10 against none of 10: 10.5 %; 21 of 40: 0.2 %.
+    # 3 of 10 against none of 10: 10.5 %; 5, the mean of 3, 6, 6 and 6: 1.6 %.
     assert not missed(rows, usual(0))[0]["beyond_chance"]
     assert [miss["beyond_chance"] for miss in missed(rows + worse, usual(0))] == [True] * 4
     claim = findings(rows + worse[:2], usual(0), healthy(0, 0))["claims"][1]
@@ -72,6 +75,18 @@ def test_robots_that_fall_as_often_as_the_others_seldom_look_worse(rate):
         rows += [run("foam", "memory", onset=k, detected=0) for k in range(10)]
         looked_worse += any(m["beyond_chance"] for m in missed(rows, usual(int(healthy_falls))))
     assert looked_worse <= 200 * 0.05
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.5])
+def test_robots_that_fall_alike_in_all_settings_count_once(rate):
+    # As under a dead camera, whose severity changes nothing.
+    looked_worse = 0.0
+    for falls, healthy_falls in product(range(11), repeat=2):
+        rows = [run("foam", "camera", falls, onset=k) for k in range(15)]
+        rows.append(run("foam", "memory", onset=0, detected=0))
+        if any(m["beyond_chance"] for m in missed(rows, usual(healthy_falls))):
+            looked_worse += binom.pmf([falls, healthy_falls], 10, rate).prod()
+    assert looked_worse <= 0.05
 
 
 def test_claims_are_judged_by_what_was_measured():

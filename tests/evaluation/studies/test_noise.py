@@ -1,5 +1,6 @@
 from dataclasses import replace
 from itertools import product
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -59,6 +60,22 @@ def test_the_timelines_camera_recovers():
     assert last.mode == "memory"
     at_work = np.array([last.schedule[0].elapsed(k) >= 0 for k in range(450)])
     np.testing.assert_array_equal(at_work, (np.arange(450) >= 150) & (np.arange(450) < 300))
+
+
+@pytest.mark.parametrize(
+    ("monitor", "name"),
+    [("reconstruction", "threshold β"), ("variance", "threshold β of mode switch")],
+)
+def test_the_timelines_threshold_is_named_after_who_obeys_it(tmp_path, monkeypatch, monitor, name):
+    class Judged(FakeEvaluator):
+        thresholds: ClassVar = {monitor: 0.01}
+
+    drawings = {}
+    draw = NoiseStudy.draw
+    monkeypatch.setattr(NoiseStudy, "draw", lambda *args: drawings.update(draw(*args)) or {})
+    NoiseStudy(tmp_path, robots=2, faults=("gaussian:5",), **SHORT).run(Judged())
+    line = next(line for line in drawings["timeline.png"].axes[0].lines if "β" in line.get_label())
+    assert (line.get_label(), line.get_ydata()[0]) == (name, Judged.beta)
 
 
 def test_faults_may_be_added_to_a_study(tmp_path, monkeypatch):

@@ -8,6 +8,7 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 from queue import Full, Queue
+from time import monotonic
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,7 +86,7 @@ class Recorder:
         self._thread = threading.Thread(target=self._write, daemon=True)
         self._thread.start()
         # The header is a chunk of its own, so that a run killed in its first second has one.
-        self._flush()
+        self._flush(self._patience)
 
     def event(self, event: Event) -> None:
         """Record a transition (`Controller.on_event`)."""
@@ -128,14 +129,16 @@ class Recorder:
         self._entries.append(_Entry(Topic.TICK, now, tick))
         self._ticks += 1
         if self._ticks == _TICKS_PER_CHUNK:
-            self._flush()
+            self._flush(self._patience)
 
     def close(self) -> None:
         """Write the rest, for at most twice `DISK_SECONDS`; a second call does nothing."""
         if self._thread.is_alive():
-            self._flush()
+            deadline = monotonic() + DISK_SECONDS
+            # The run is over, and can wait until the disk has room for its last second.
+            self._flush(DISK_SECONDS)
             with suppress(Full):
-                self._chunks.put(None, timeout=DISK_SECONDS)
+                self._chunks.put(None, timeout=max(deadline - monotonic(), 0.0))
             self._thread.join(DISK_SECONDS)
         self.hung = self._thread.is_alive()
         if self.hung:
@@ -185,15 +188,18 @@ class Recorder:
             return BAD
         return GOOD
 
-    def _flush(self) -> None:
-        """Hand the entries since the last chunk to the writing thread."""
+    def _flush(self, patience: float) -> None:
+        """Hand the entries since the last chunk to the writing thread.
+
+        It waits at most `patience` seconds for the disk.
+        """
         entries = self._entries
         self._entries = []
         self._ticks = 0
         if self.problem or not entries:
             return
         try:
-            self._chunks.put(entries, self._patience > 0.0, self._patience)
+            self._chunks.put(entries, timeout=patience)
         except Full:
             self.problem = f"the recording {self.path} ends early: the disk does not keep up"
 

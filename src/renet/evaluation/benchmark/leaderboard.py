@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import tyro
 
-from renet.errors import RenetError
+from renet.errors import RenetError, printable
 from renet.evaluation.benchmark.episodes import EPISODES
 from renet.evaluation.benchmark.results import BENCHMARK_VERSION, read_result, rows_of_entry
 from renet.evaluation.benchmark.scores import (
@@ -96,22 +96,36 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
 
 
 def entries_of(results: Sequence[Result]) -> list[LeaderboardEntry]:
-    """Entries of result files in the files' order, the trainings of one method joined."""
-    # Rows of each training by method, entry and robot.
-    trainings: dict[tuple[str, str, str], list[Sequence[Mapping[str, Any]]]] = {}
+    """Entries of result files in the files' order, the trainings of one method joined.
+
+    Raises RenetError if two results of a method's entry are of the same policy.
+    """
+    # Rows of each training, by its policy's hash, of each method, entry and robot.
+    trainings: dict[tuple[str, str, str], dict[str, Sequence[Mapping[str, Any]]]] = {}
     for result in results:
         policy = result["policy"]
         for name in result["scores"]:
-            key = (policy["method"], name, policy["robot"])
-            trainings.setdefault(key, []).append(rows_of_entry(result, name))
+            of_entry = trainings.setdefault((policy["method"], name, policy["robot"]), {})
+            # A policy that counted twice would make the interval over trainings too narrow.
+            if policy["sha256"] in of_entry:
+                raise RenetError(
+                    printable(
+                        f"two results of {policy['method']}, {name}, are of one policy,"
+                        f" {policy['name']} {policy['sha256'][:12]}: give each training once"
+                    )
+                )
+            of_entry[policy["sha256"]] = rows_of_entry(result, name)
     entries = []
-    for (method, name, robot), rows in trainings.items():
-        entries.append(LeaderboardEntry(method, name, robot, tuple(rows)))
+    for (method, name, robot), of_entry in trainings.items():
+        entries.append(LeaderboardEntry(method, name, robot, tuple(of_entry.values())))
     return entries
 
 
 def rank_entries(results: Sequence[Result]) -> list[LeaderboardEntry]:
-    """Entries of result files, best first; raises RenetError if their episodes differ."""
+    """Entries of result files, best first.
+
+    Raises RenetError as `entries_of`, or if their episodes differ.
+    """
     if len(set(column(results, "episodes"))) > 1:
         raise RenetError("give results of the same episodes: all quick, all full, or all sealed")
     return sorted(entries_of(results), key=lambda entry: -entry.scores["score"])

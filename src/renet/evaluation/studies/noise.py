@@ -1,10 +1,12 @@
 """The fault study's preset `noise`: the paper's noise figure, modes camera and memory."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,6 +24,9 @@ from renet.evaluation.trace import Trace
 from renet.faults import fault_class
 from renet.interface import CONTROL_DT, Terrain
 from renet.palette import BLIND_COLOUR, SEES_COLOUR
+
+if TYPE_CHECKING:
+    from renet.evaluation.evaluator import Evaluator
 
 _LOSS = "#3c3ca0"
 _PROBABILITY = "#64aa5f"
@@ -84,6 +89,13 @@ class NoiseStudy(FaultStudy):
             "timeline": timeline,
         }
 
+    def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
+        """The fault study's summary, and the name of the threshold that `beta` is."""
+        # A bundle that predicts a variance judges images by it, and mode switch alone by beta.
+        judges = "reconstruction" in evaluator.thresholds
+        name = "threshold β" if judges else "threshold β of mode switch"
+        return super().summarise(parts, evaluator) | {"beta_name": name}
+
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
         """Figures noise.png and timeline.png."""
         # Parts by noise and level.
@@ -107,9 +119,10 @@ class NoiseStudy(FaultStudy):
         ]
         line = batches[strongest]["timeline"]
         title = "One robot loses its camera and gets it back"
+        threshold = (summary["beta_name"], summary["beta"])
         return {
             "noise.png": speed_over_time(curves, onset, self.speed),
-            "timeline.png": draw_timeline(line, marks, summary["beta"], title),
+            "timeline.png": draw_timeline(line, marks, threshold, title),
         }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
@@ -200,17 +213,21 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 
 def draw_timeline(
-    line: Mapping[str, Any], marks: Sequence[tuple[float, str]], beta: float, title: str
+    line: Mapping[str, Any],
+    marks: Sequence[tuple[float, str]],
+    threshold: tuple[str, float],
+    title: str,
 ) -> Figure:
     """The paper's timeline of one robot: loss, threshold, estimator in charge and probability P.
 
     Args:
         line: `anomaly`, `probability` and `vision` (VP in charge) at each control step, [T] each.
         marks: times to point out, s, with their texts.
-        beta: threshold on the anomaly score.
+        threshold: name and value of a threshold on the anomaly score.
         title: title of the figure.
     """
     figure, axis = plt.subplots(figsize=(11, 3.7))
+    name, beta = threshold
     vision = np.array(line["vision"], bool)
     # A robot has no score before its first tick, which a logarithmic axis would show as a dive.
     anomaly = np.array(line["anomaly"], float)
@@ -218,7 +235,7 @@ def draw_timeline(
     time = np.arange(len(anomaly)) * CONTROL_DT
     height = axis.get_xaxis_transform()
     axis.plot(time, anomaly, color=_LOSS, label="reconstruction loss")
-    axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label="threshold β")
+    axis.axhline(beta, color="black", linestyle="--", linewidth=1.2, label=name)
     for acts, colour, label in (
         (vision, SEES_COLOUR, "VP in charge"),
         (~vision, BLIND_COLOUR, "OP in charge"),
