@@ -116,18 +116,10 @@ def test_oracle_cannot_be_exported():
 @pytest.mark.parametrize(
     ("place", "value", "what"),
     [
-        ("actions.joint_pos.scale", 0.5, "actions.joint_pos.scale 0.5; its task has 0.25"),
-        (
-            "scene.entities.robot.articulation.actuators.0.stiffness",
-            20.0,
-            "stiffness 20.0; .* 40.0",
-        ),
-        (
-            "scene.sensors.CAMERA.mount.pitch",
-            0.9,
-            "depth_camera.mount.pitch 0.9; its task has 0.52",
-        ),
-        ("scene.sensors.CAMERA.range", 3.0, "depth_camera.range 3.0; its task has 2.0"),
+        ("actions.joint_pos.scale", 0.5, "scale 0.5; its task has 0.25"),
+        ("scene.entities.robot.articulation.actuators.0.stiffness", 20.0, "20.0; its task has 40"),
+        ("scene.sensors.CAMERA.mount.pitch", 0.9, "pitch 0.9; its task has 0.52"),
+        ("scene.sensors.CAMERA.range", 3.0, "camera.range 3.0; its task has 2.0"),
     ],
 )
 def test_robot_other_than_the_tasks_is_not_exported(tmp_path, place, value, what):
@@ -144,5 +136,5 @@ def test_robot_other_than_the_tasks_is_not_exported(tmp_path, place, value, what
     setting[last] = value
     file.write_text(json.dumps(state))
     with pytest.raises(RenetError, match=what):
-        export(ExportCfg(folder, tmp_path / "bundle"))
+        export(ExportCfg(checkpoint=folder, out=tmp_path / "bundle"))
     assert not (tmp_path / "bundle").exists()
