@@ -17,7 +17,12 @@ from renet.bundle import (
 from renet.bundle.manifest import SelectorSpec
 from renet.errors import RenetError
 from renet.evaluation import calibrate, calibrate_memory
-from renet.evaluation.calibrate import CalibrateCfg, _calibrate_monitors, run_calibrate
+from renet.evaluation.calibrate import (
+    CalibrateCfg,
+    _calibrate_monitors,
+    _leave_out_blunt,
+    run_calibrate,
+)
 from renet.evaluation.env import terrain_env_cfg
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
@@ -116,6 +121,14 @@ def test_grass_that_surprises_now_and_then_but_not_twice_in_a_row_lifts_no_thres
     thresholds = _calibrate_monitors(cfg, bundle, healthy, grassy).thresholds
     assert thresholds["surprise"] < 0.025
     assert thresholds["variance"] == pytest.approx(0.03)
+
+
+def test_monitor_that_cannot_tell_healthy_images_is_left_out(capsys):
+    # Stillness objects at no more than 0.9, surprise at 8. `frame_age` would judge by its fallback.
+    thresholds = {"stillness": 0.95, "surprise": 1.5, "frame_age": 1.2}
+    _leave_out_blunt(thresholds)
+    assert thresholds == {"surprise": 1.5, "frame_age": 1.2}
+    assert "stillness is left out: with a threshold of 0.95" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("lift", "expected"), [(1.5, 1.5), (0.5, 1.0)])

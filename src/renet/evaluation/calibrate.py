@@ -130,6 +130,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     names = {MEMORY} | (MONITORS.keys() - series.keys())
     unchanged = {name: limit for name, limit in spec.thresholds.items() if name in names}
     calibration = _calibrate_monitors(cfg, bundle, series, {})
+    _leave_out_blunt(calibration.thresholds)
     return _store(cfg, bundle, series, calibration, (unchanged, spec.longest_memory))
 
 
@@ -158,6 +159,7 @@ def _calibrate_simulated(cfg: CalibrateCfg) -> float:
     bundle = evaluator.bundle
     calibration = _calibrate_monitors(cfg, bundle, series, grassy)
     thresholds = calibration.thresholds
+    _leave_out_blunt(thresholds)
     memory: Memory = ({}, 0.0)
     longest = bundle.manifest.selector.longest_memory
     if longest:
@@ -174,6 +176,7 @@ def _calibrate_simulated(cfg: CalibrateCfg) -> float:
         needed = _calibrate_monitors(cfg, bundle, withheld, {}).thresholds
         for name in patient:
             thresholds[name] = max(thresholds[name], needed.get(name, -math.inf))
+        _leave_out_blunt(thresholds)
     return _store(cfg, bundle, series, calibration, memory)
 
 
@@ -248,6 +251,22 @@ def _store(
         rows.append((name, f"{value:.4g}"))
     show(title, ("monitor", "threshold"), rows)
     return beta
+
+
+def _leave_out_blunt(thresholds: dict[str, float]) -> None:
+    """Remove monitors whose healthy scores are as high as those of a fault, in place.
+
+    A policy whose expectations are poor, for instance, sees healthy images stand still. A monitor
+    that has a fallback is not removed, for it would judge by that.
+    """
+    for name, value in list(thresholds.items()):
+        monitor = MONITORS[name]
+        if value > monitor.limit and monitor.fallback is None:
+            del thresholds[name]
+            print(
+                f"{name} is left out: with a threshold of {value:.3g}, which healthy images need, "
+                f"it would never object (above {monitor.limit:g})"
+            )
 
 
 def _accept_grass(thresholds: dict[str, float], grassy: Series) -> None:
