@@ -1,6 +1,6 @@
 """The fault study: every camera fault on every ground, in every mode (docs/measure.md).
 
-Faults begin on the way to an obstacle and about a second before its edge, and end before the run
+Faults begin on the way to an obstacle and shortly before its edge, and end before the run
 does, so that leaving vision and returning to it are both measured. One fault is one batch of
 robots, each with a twin in a batch without faults. Falls are judged by true poses.
 """

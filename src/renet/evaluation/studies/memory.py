@@ -1,7 +1,7 @@
 """The memory study: robots that cross, against the time for which they get no image.
 
-The camera goes black about a second before an obstacle's edge, for a moment or for good. The robots
-of all modes are twins. They have one try, judged by true poses.
+The camera goes black shortly before an obstacle's edge, for a moment or for good. The robots of all
+modes are twins. They have one try, judged by true poses.
 """
 
 from __future__ import annotations
