@@ -53,8 +53,17 @@ from renet.training.provenance import to_json
 OPSET = 17
 """Version of ONNX's operators: old enough for the ONNX Runtime of a robot's computer, new enough
 for LayerNormalization."""
-DESCRIBED = {"scale", "stiffness", "damping", "effort_limit", "intrinsics", "position", "pitch"}
-DESCRIBED |= {"range", "period"}
+DESCRIBED = {
+    "damping",
+    "effort_limit",
+    "intrinsics",
+    "period",
+    "pitch",
+    "position",
+    "range",
+    "scale",
+    "stiffness",
+}
 """Settings of actions, actuators and camera that a manifest repeats."""
 
 
