@@ -111,6 +111,17 @@ def test_thresholds_below_zero_are_lifted_for_sparse_grass_too():
     assert thresholds["uniformity"] == pytest.approx(-0.12, abs=1e-3)
 
 
+@pytest.mark.parametrize(("walks", "accepted"), [(20, 20), (50, 49), (51, 50), (75, 74), (100, 98)])
+def test_49_of_50_walks_through_sparse_grass_are_accepted(walks, accepted):
+    scores = np.linspace(0.01, 0.02, 300)
+    healthy = {name: [scores] for name in MONITORS}
+    peaks = np.linspace(0.021, 0.022, walks)
+    grassy = {"variance": [np.full(20, peak) for peak in peaks]}
+    bundle = Bundle.load()
+    thresholds = _calibrate_monitors(CalibrateCfg(bundle.path), bundle, healthy, grassy).thresholds
+    assert (peaks <= thresholds["variance"]).sum() == accepted
+
+
 def test_grass_that_surprises_now_and_then_but_not_twice_in_a_row_lifts_no_threshold():
     scores = np.linspace(0.01, 0.02, 300)
     healthy = {name: [scores] for name in MONITORS}

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from renet.deploy.robots.sim.scene import build_scene
 from renet.errors import RenetError
 from renet.faults import (
     FAULTS,
@@ -17,7 +18,7 @@ from renet.faults import (
     parse_fault,
 )
 from renet.faults.image import fill_from_left, shifted
-from renet.faults.physical import choose_evenly
+from renet.faults.physical import choose_evenly, obstacles
 from renet.interface import DEPTH_SHAPE, TICK_DT
 
 SENSOR_FAULTS = [name for name, fault in FAULTS.items() if not issubclass(fault, PhysicalFault)]
@@ -341,6 +342,24 @@ def test_share_of_obstacles_is_at_least_one(count: int, share: float, expected: 
     chosen = choose_evenly(tiles, share)
     assert [len(chosen & set(geoms)) for geoms in tiles] == [expected, expected]
     assert len(chosen) == 2 * expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    # Blocks; four sides of a ring; four sides of nine rings, and two of the ground around them.
+    [("obstacles", 24), ("platform", 4), ("stairs_up", 38)],
+)
+def test_boxes_above_the_start_are_obstacles(kind: str, count: int) -> None:
+    model, _ = build_scene(kind, 5)
+    (tile,) = obstacles(model, np.zeros((1, 2)))
+    assert len(tile) == count
+
+
+@pytest.mark.parametrize("kind", ["gap", "stairs_down"])
+def test_ground_beyond_an_edge_is_no_obstacle(kind: str) -> None:
+    model, _ = build_scene(kind, 5)
+    with pytest.raises(RenetError, match="no obstacle that could be glass"):
+        obstacles(model, np.zeros((1, 2)))
 
 
 @pytest.mark.parametrize("fault", SENSOR_FAULTS)

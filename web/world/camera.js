@@ -46,7 +46,8 @@ export class DepthCamera {
   latest(now) {
     if (this.frame && now < this.due - 1e-6) return this.frame;
     const period = 1 / this.spec.rate_hz;
-    this.due = Math.max(this.due, now - period) + period;
+    // After a pause the beat begins anew: images that were left out are not made up for.
+    this.due = (now < this.due + period ? this.due : now) + period;
     this.healthy = { image: this.image(), fresh: true, age: 0, invalid: 0 };
     const { image, invalid, age, fresh } = this.spoilt(this.healthy, now);
     if (fresh || !this.frame) this.frame = { image, invalid, time: now - age };

@@ -276,7 +276,8 @@ def _accept_grass(thresholds: dict[str, float], grassy: Series) -> None:
             continue
         lowest = [lowest_in_a_row(run, MONITORS[name].in_a_row) for run in runs]
         peaks = [run.max() for run in lowest if len(run)]
-        passes = float(np.quantile(peaks, IN_SPARSE_GRASS))
+        # Of no two neighbours the mean: it would accept one run fewer than the share.
+        passes = float(np.quantile(peaks, IN_SPARSE_GRASS, method="inverted_cdf"))
         # A detector that has not learned grass yet must still notice other faults. A threshold may
         # be negative: then half of it is the higher one.
         twofold = max(2.0 * thresholds[name], 0.5 * thresholds[name])

@@ -204,7 +204,10 @@ class WrongScale(ImageFault):
 
 
 class MotionBlur(ImageFault):
-    """Smeared by the base's pitch and yaw rate during the exposure; level is its length."""
+    """Smeared by the base's pitch and yaw rate during the exposure; level is its length.
+
+    The camera is taken to look straight ahead of the base.
+    """
 
     unit = "ms"
     levels = (5, 10, 20, 30, 40)

@@ -18,6 +18,9 @@ from renet.faults.base import Fault, Frames
 if TYPE_CHECKING:
     import mujoco
 
+_LEAST_RISE = 0.001
+"""Rise above the start from which a box is an obstacle, m."""
+
 
 @dataclass(frozen=True)
 class ViewPerturbation:
@@ -124,7 +127,7 @@ def unit_vectors(vectors: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
-    """List each tile's obstacles: geoms of boxes that neither span the tile nor carry its start.
+    """List each tile's obstacles: geoms of boxes that rise above its start and do not span it.
 
     Obstacles of a course are the boxes of `OBSTACLE_GROUP`.
 
@@ -143,13 +146,19 @@ def obstacles(model: mujoco.MjModel, middles: np.ndarray) -> list[list[int]]:
     mujoco.mj_kinematics(model, data)
     half_size = model.geom_size[:, :2]
     centre = data.geom_xpos[:, :2]
+    top = data.geom_xpos[:, 2] + model.geom_size[:, 2]
     is_terrain = model.body_rootid[model.geom_bodyid] == model.body("terrain").id
     is_box = model.geom_type == mujoco.mjtGeom.mjGEOM_BOX
     carries_start = (np.abs(middles[:, None] - centre) <= half_size).all(axis=2).any(axis=0)
+    # A tile is a body, whose robots start on the highest box of its middle.
+    start = np.full(model.nbody, -np.inf)
+    carriers = np.flatnonzero(is_terrain & is_box & carries_start)
+    np.maximum.at(start, model.geom_bodyid[carriers], top[carriers])
+    is_higher = top > start[model.geom_bodyid] + _LEAST_RISE
     is_within_tile = (half_size < TILE / 2 - 1e-6).all(axis=1)
     # The group of a course's obstacles replaces the rule for tiles.
     is_grouped = is_terrain & (model.geom_group == OBSTACLE_GROUP)
-    is_obstacle = is_grouped | (~carries_start & is_within_tile & ~is_grouped.any())
+    is_obstacle = is_grouped | (is_higher & is_within_tile & ~is_grouped.any())
     geoms = np.flatnonzero(is_terrain & is_box & is_obstacle)
     if not len(geoms):
         raise RenetError(

@@ -113,6 +113,23 @@ def test_a_faster_camera_is_thinned_out_to_ten_frames_a_second():
     assert np.diff(times).min() >= 0.08 - 1e-9
 
 
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_images_that_a_pause_left_out_are_not_made_up_for(every):
+    step = 0
+
+    def latest() -> DepthFrame:
+        last = step - step % every
+        return frame(last, 50.0 + time_of(last))
+
+    source = Mock(spec=Camera, latest=latest)
+    camera = FaultyCamera(source, [parse_fault("blackout@9s")], lambda: 50.0 + time_of(step), 1)
+    steps = [*range(20), *range(73, 93)]
+    times = []
+    for step in steps:  # noqa: B007  (the clock)
+        times.append(camera.latest().time)
+    assert np.diff(np.unique(times)).min() >= 0.08 - 1e-9
+
+
 def test_a_silent_camera_stays_silent():
     silent = Mock(spec=Camera, latest=Mock(return_value=None))
     camera = FaultyCamera(silent, [parse_fault("blackout@0s")], Standing().now, seed=1)

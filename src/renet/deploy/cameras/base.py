@@ -65,3 +65,19 @@ class CameraCfg:
             RenetError: A package or file is missing, or the camera has no images of this format.
         """
         return None
+
+
+def next_due(due: float, taken: float, period: float) -> float:
+    """Return the time from which the next frame of a steady camera is due, s.
+
+    A frame that is a little late leaves the camera's beat as it is. After a pause the beat begins
+    anew, and the frames that were left out are not made up for.
+
+    Args:
+        due: Time from which the newest frame was due, s.
+        taken: Time of the newest frame, s.
+        period: Time between two frames, s.
+    """
+    if taken >= due + period:
+        return taken + period
+    return due + period

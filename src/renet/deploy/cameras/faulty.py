@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from renet.deploy.cameras.base import Camera, DepthFrame
+from renet.deploy.cameras.base import Camera, DepthFrame, next_due
 from renet.deploy.robots.base import RobotState, all_finite
 from renet.faults import Frames, Injection, Injector, ViewPerturbation
 from renet.interface import CONTROL_DT, TICK_DT, control_steps
@@ -71,7 +71,7 @@ class FaultyCamera(Camera):
         # Fault models are made for 10 Hz: frames of a faster camera are thinned out.
         if frame is None or frame.time < self._due - CONTROL_DT / 2:
             return self._shown
-        self._due = max(self._due + TICK_DT, frame.time)
+        self._due = next_due(self._due, frame.time, TICK_DT)
         healthy = Frames.healthy(frame.image[None], self._turn_rate())
         healthy = replace(healthy, invalid=np.array([frame.invalid]))
         spoilt = self._injector.apply(healthy, self._step(frame.time))

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from renet.bundle.manifest import CameraSpec
-from renet.deploy.cameras.base import Camera, DepthFrame
+from renet.deploy.cameras.base import Camera, DepthFrame, next_due
 from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import TERRAIN
 from renet.errors import RenetError
@@ -44,8 +44,7 @@ class SimCamera(Camera):
         """Newest frame; casts rays when an image is due."""
         now = self._robot.now()
         if self._frame is None or now >= self._due - 1e-6:
-            # After a pause the images that were missed are not made up for.
-            self._due = max(self._due, now - self._period) + self._period
+            self._due = next_due(self._due, now, self._period)
             depth = self.depth()
             # One part of the noise grows with the distance, one does not.
             std = np.hypot(RELATIVE_STD * depth, self._spec.noise_std)

@@ -139,6 +139,13 @@ def test_camera_rate_noise_and_seed():
         robot.write(command())
         due = next_step(robot, due)
     assert number == 9
+    # After a pause images come at the camera's rate again: 10 steps bring two more.
+    robot.wait(robot.now() + 1.03)
+    for _ in range(10):
+        number = camera.latest().number
+        robot.write(command())
+        robot.wait(robot.now() + CONTROL_DT)
+    assert number == 11
     clean = np.clip(SimCamera(robot, CAMERA).depth() / CAMERA.range, 0, 1)
     inside = (clean > 0.2) & (clean < 0.8)
     for std in (0.03, 0.1):
