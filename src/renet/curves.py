@@ -18,7 +18,7 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
     """Read the curves of a run.
 
     Of an iteration that a resumed run repeated, the last value counts. A row that a killed run left
-    incomplete is skipped.
+    incomplete is skipped, and so are the zeros that a power failure may leave in a file.
 
     Returns:
         Values by iteration, by the curve's name.
@@ -29,10 +29,11 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
     curves: dict[str, dict[int, float]] = {}
     try:
         with file.open(newline="", errors="replace") as lines:
-            for row in csv.DictReader(lines):
+            text = (line.replace("\0", "") for line in lines)
+            for row in csv.DictReader(text):
                 with suppress(KeyError, TypeError, ValueError):
                     curves.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, csv.Error) as error:
         # A null byte in the path is a ValueError.
         raise RenetError(f"cannot read the curves {file}: {obstacle(error, file)}") from error
     return curves

@@ -8,6 +8,7 @@ from PIL import Image
 
 from renet import cli
 from renet.errors import RenetError
+from renet.evaluation import figures
 from renet.evaluation.curves import CurvesCfg, make_curves
 
 GAP, STEPS = "Curriculum/level/gap", "Curriculum/environment_steps"
@@ -40,6 +41,75 @@ def test_seeds_are_compared_at_the_last_step_they_share(tmp_path):
     with (tmp_path / "out" / "summary.csv").open() as file:
         assert next(csv.DictReader(file))["label"] == "recipe"
     assert Image.open(tmp_path / "out" / "curves.png").width > 300
+
+
+def test_runs_without_a_common_step_are_no_seeds_of_one_recipe(tmp_path):
+    first = write_run(tmp_path / "first", [0, 1, 2])
+    later = write_run(tmp_path / "later", [0, 1, 2], each=10_000)
+    with pytest.raises(RenetError, match="runs of recipe have no environment steps in common"):
+        made(tmp_path, f"{first}=recipe", f"{later}=recipe")
+    assert not (tmp_path / "out").exists()
+    assert len(made(tmp_path, first, later)) == 2
+
+
+def test_runs_are_not_read_before_they_begin(tmp_path):
+    run = write_run(tmp_path / "run", [4, 1, 2])
+    assert made(tmp_path, run, until=1000)[0]["mean"] == 4.0
+    with pytest.raises(RenetError, match="--until 999 is before the runs of run begin, at 1000"):
+        made(tmp_path, run, until=999)
+
+
+def test_a_default_curve_that_a_task_lacks_is_left_out(tmp_path):
+    """A task on a plane has no levels; a curve that is asked for must be there."""
+    flat = tmp_path / "flat"
+    flat.mkdir()
+    rows = ["iteration,name,value", f"0,{STEPS},1000", "0,Train/mean_reward,7"]
+    (flat / "curves.csv").write_text("\n".join(rows) + "\n")
+    (row,) = made(tmp_path, flat, curves=CurvesCfg.curves)
+    assert (row["curve"], row["mean"]) == ("Train/mean_reward", 7.0)
+    with pytest.raises(RenetError, match="unknown curve 'Curriculum/level/'"):
+        made(tmp_path, flat, curves=("Curriculum/level/", "Train/mean_reward"))
+
+
+def test_zeros_that_a_power_failure_left_are_skipped(tmp_path):
+    run = write_run(tmp_path / "run", [0, 1])
+    with (run / "curves.csv").open("ab") as file:
+        # More than the longest field that Python's csv reads.
+        file.write(f"2,{GAP}".encode() + bytes(200_000) + f"\n1,{GAP},3\n".encode())
+    assert made(tmp_path, run)[0]["mean"] == 3.0
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path):
+    run = write_run(tmp_path / "run", [0, 1])
+    with (run / "curves.csv").open("a") as file:
+        file.write("x" * 200_000)
+    with pytest.raises(RenetError, match=r"cannot read the curves .*field larger than"):
+        made(tmp_path, run)
+
+
+@pytest.fixture
+def legends(monkeypatch) -> list[list[str]]:
+    """Labels in the legend of each figure that is drawn."""
+    drawn = []
+    render = figures.png
+
+    def keep(figure, *arguments):
+        (legend,) = figure.legends
+        drawn.append([text.get_text() for text in legend.get_texts()])
+        return render(figure, *arguments)
+
+    monkeypatch.setattr(figures, "png", keep)
+    return drawn
+
+
+def test_the_legend_names_runs_that_only_a_later_panel_shows(tmp_path, legends):
+    tiles = write_run(tmp_path / "tiles", [0, 1])
+    flat = write_run(tmp_path / "flat", [])
+    for run in (tiles, flat):
+        with (run / "curves.csv").open("a") as file:
+            file.write(f"0,{STEPS},1000\n0,Train/mean_reward,7\n")
+    made(tmp_path, tiles, flat, curves=(GAP, "Train/mean_reward"))
+    assert legends == [["tiles", "flat"]]
 
 
 def test_runs_with_batches_of_their_own_are_compared_by_steps(tmp_path):

@@ -21,6 +21,23 @@ def test_a_name_that_looks_like_a_formula_is_drawn_as_it_is(tmp_path):
     assert ODD in Image.open(path).text["Description"]
 
 
+def test_a_legend_of_long_names_is_within_the_figure_and_names_each_once():
+    names = [f"2026-09-21_10-11-12_recipe_{number}" for number in range(4)]
+    with plt.rc_context(figures.STYLE):
+        figure, axes = plt.subplots(2, 1, figsize=(4.2, 3.4))
+        for axis in axes:
+            for name in names:
+                axis.plot([0, 1], label=name)
+        figures.legend(figure, *axes)
+        figure.canvas.draw()
+        (legend,) = figure.legends
+        box = legend.get_window_extent()
+    plt.close(figure)
+    assert [text.get_text() for text in legend.get_texts()] == names
+    assert box.x0 >= 0.0
+    assert box.x1 <= figure.bbox.x1
+
+
 def test_a_figure_is_a_card_whose_corners_show_the_page(tmp_path):
     with plt.rc_context(figures.STYLE):
         figure, axis = plt.subplots()

@@ -23,6 +23,9 @@ from renet.evaluation.results import output_folder, write_csv, write_json
 from renet.files import write_atomically
 from renet.terminal import show
 
+DEFAULT_CURVES = (LEVEL, "Train/mean_reward", "Episode_Metrics/collisions")
+"""Beginnings of the names of curves that are drawn by default, if runs have them: a task on a plane
+has no levels."""
 _POINTS = 400
 """Number of points of a line."""
 
@@ -34,7 +37,7 @@ class CurvesCfg:
     runs: tyro.conf.Positional[tuple[str, ...]]
     """Run folders of `renet train`, or their curves.csv, as RUN or RUN=LABEL; runs of one label are
     seeds of one recipe. By default a run's label is its folder's name."""
-    curves: tuple[str, ...] = (LEVEL, "Train/mean_reward", "Episode_Metrics/collisions")
+    curves: tuple[str, ...] = DEFAULT_CURVES
     """Names of curves, or their beginnings, as in curves.csv."""
     smooth: int = 10
     """Number of iterations of the moving mean."""
@@ -63,18 +66,21 @@ class Run:
 
 
 def make_curves(cfg: CurvesCfg) -> Path:
-    """Draw the runs, write the table and return the folder; raises as `read_run`."""
+    """Draw the runs, write the table and return the folder.
+
+    Raises as `read_run`, `choose_curves` and `last_step`, before anything is written.
+    """
     runs = []
     for argument in cfg.runs:
         runs.append(read_run(argument, cfg.smooth))
     names = choose_curves(runs, cfg.curves)
-    out = output_folder(cfg.out)
     by_label: dict[str, list[Run]] = {}
     for run in runs:
         by_label.setdefault(run.label, []).append(run)
     rows = []
     for label, seeds in by_label.items():
-        rows += last_values(label, seeds, names, cfg)
+        rows += last_values(label, seeds, names, cfg.until)
+    out = output_folder(cfg.out)
     write_json(out / "summary.json", {"runs": rows, "smooth": cfg.smooth})
     write_csv(out / "summary.csv", rows)
     write_atomically(out / "curves.png", picture(by_label, names), "figure")
@@ -128,28 +134,54 @@ def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def choose_curves(runs: Sequence[Run], beginnings: Sequence[str]) -> list[str]:
-    """Names of the runs' curves that begin with one of `beginnings`; raises RenetError for none."""
+    """Names of the runs' curves that begin with one of `beginnings`.
+
+    Raises RenetError for a beginning of none; for one of `DEFAULT_CURVES` only if all are missing.
+    """
     names: set[str] = set()
     for run in runs:
-        names |= run.values.keys()
+        names |= {name for name in run.values if _known(run, name).any()}
     known = sorted(names)
+    chosen = [name for name in known if name.startswith(tuple(beginnings))]
+    if chosen and tuple(beginnings) == DEFAULT_CURVES:
+        return chosen
     for beginning in beginnings:
         if not any(name.startswith(beginning) for name in known):
             raise unknown_name("curve", beginning, known)
-    return [name for name in known if name.startswith(tuple(beginnings))]
+    return chosen
+
+
+def last_step(label: str, runs: Sequence[Run], until: float | None) -> float:
+    """Last environment step that all runs of a label have in common, at most `until`.
+
+    Raises RenetError if there is none: runs are compared neither before they begin nor after they
+    end.
+    """
+    begin = max(run.steps[0] for run in runs)
+    end = min(run.steps[-1] for run in runs)
+    if begin > end:
+        raise RenetError(
+            f"the runs of {label} have no environment steps in common: give each a label of its"
+            " own, RUN=LABEL"
+        )
+    if until is None:
+        return float(end)
+    if until < begin:
+        raise RenetError(
+            f"--until {until:g} is before the runs of {label} begin, at {begin:.0f} steps"
+        )
+    return float(min(end, until))
 
 
 def last_values(
-    label: str, runs: Sequence[Run], names: Sequence[str], cfg: CurvesCfg
+    label: str, runs: Sequence[Run], names: Sequence[str], until: float | None = None
 ) -> list[dict[str, Any]]:
     """Mean and spread of each curve over the runs of a label, at the last step they have in common.
 
     The standard deviation is a sample's (n - 1); it is None for a single run.
     """
     # Longer runs are read where the shortest ends, or the comparison would favour them.
-    end = min(run.steps[-1] for run in runs)
-    if cfg.until is not None:
-        end = min(end, cfg.until)
+    end = last_step(label, runs, until)
     rows = []
     for name in names:
         values = np.array([_value_at(run, name, end) for run in runs])
@@ -161,7 +193,7 @@ def last_values(
             {
                 "label": label,
                 "curve": name,
-                "steps": float(end),
+                "steps": end,
                 "seeds": int(values.size),
                 "mean": float(values.mean()),
                 "sd": spread,
@@ -172,11 +204,16 @@ def last_values(
     return rows
 
 
+def _known(run: Run, name: str) -> np.ndarray:
+    """[I] bool, the iterations at which a run has a value of a curve; none if it is missing."""
+    if name not in run.values:
+        return np.zeros(len(run.steps), bool)
+    return ~np.isnan(run.values[name])
+
+
 def _value_at(run: Run, name: str, steps: float) -> float:
     """Value of a curve at a number of environment steps, by interpolation; NaN if it is missing."""
-    if name not in run.values:
-        return float("nan")
-    known = ~np.isnan(run.values[name])
+    known = _known(run, name)
     if not known.any():
         return float("nan")
     return float(np.interp(steps, run.steps[known], run.values[name][known]))
@@ -205,23 +242,26 @@ def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> byte
         # The last row may have more panels than curves.
         for axis in axes.flat[len(names) :]:
             axis.set_axis_off()
-        figures.legend(figure, axes[0][0])
+        # A run may have no curve in the first panel.
+        figures.legend(figure, *axes.flat)
         return figures.png(figure)
 
 
 def draw_seeds(axis: Axes, runs: Sequence[Run], name: str, colour: str, label: str) -> None:
     """Draw the mean of runs over the steps they have in common, and a band over their range."""
-    group = [run for run in runs if name in run.values]
+    group = [run for run in runs if _known(run, name).any()]
     if not group:
         return
-    begin = max(run.steps[0] for run in group)
-    end = min(run.steps[-1] for run in group)
+    # A curve may begin after its run, as that of episodes does.
+    begin = max(run.steps[_known(run, name)][0] for run in group)
+    end = min(run.steps[_known(run, name)][-1] for run in group)
     steps = np.linspace(begin, end, _POINTS)
     # [runs, points]
     values = np.empty((len(group), _POINTS))
     for row, run in enumerate(group):
         values[row] = [_value_at(run, name, step) for step in steps]
-    count = f"{label} ({len(group)} seeds)" if len(group) > 1 else label
+    # The legend is of all panels, of which this one may lack a run.
+    count = f"{label} ({len(runs)} seeds)" if len(runs) > 1 else label
     # A line of no length is invisible.
     marker = "o" if begin == end else ""
     axis.plot(steps / 1e6, values.mean(axis=0), color=colour, label=count, marker=marker)

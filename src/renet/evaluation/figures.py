@@ -266,12 +266,20 @@ def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
 
 
 def legend(figure: Figure, *axes: Axes) -> None:
-    """Add a legend of the lines of some axes above a figure."""
-    handles = []
+    """Add a legend of the lines of some axes above a figure, each label once.
+
+    Long labels have more rows, so that the legend is no wider than the figure.
+    """
+    entries: dict[str, Any] = {}
     for axis in axes:
-        handles += axis.get_legend_handles_labels()[0]
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
     # Rows of about as many entries as have room.
-    rows = math.ceil(1.1 * len(handles) / figure.get_figwidth())
+    rows = max(math.ceil(1.1 * len(entries) / figure.get_figwidth()), 1)
     look: Any = {"columnspacing": 1.2, "handlelength": 1.6, "fontsize": 9}
-    columns = math.ceil(len(handles) / max(rows, 1))
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns, **look)
+    place = "outside upper center"
+    for columns in range(math.ceil(len(entries) / rows), 0, -1):
+        drawn = figure.legend([*entries.values()], [*entries], loc=place, ncols=columns, **look)
+        if columns == 1 or drawn.get_window_extent().width <= figure.bbox.width:
+            return
+        drawn.remove()
