@@ -26,6 +26,7 @@ from renet.registry import register_tasks
 from renet.tasks import VISUAL_GO1
 from renet.tasks.sensors import DEPTH_CAMERA
 
+from .counting import CountingStudy
 from .fakes import SPEED, FakeEvaluator
 from .tiny import STUDIES, TINY
 
@@ -67,6 +68,22 @@ def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path, monkeypatch):
         with pytest.raises(RenetError, match=rf"speed_0\.3-\w+\.json is {message}"):
             study.run(Other())
     assert study.tables(summary)[0][2][0] == (0.3, pytest.approx(SPEED), 0)
+
+
+def test_a_damaged_part_is_told_before_others_are_made(tmp_path):
+    study = CountingStudy(tmp_path)
+    study.run()
+    (first,) = (tmp_path / "parts").glob("a-*")
+    (last,) = (tmp_path / "parts").glob("e-*")
+    whole = last.read_bytes()
+    first.unlink()
+    last.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(RenetError, match=r"e-\w+\.json is not JSON.* delete it"):
+        study.run()
+    assert not first.exists()
+    last.unlink()
+    study.run()
+    assert json.loads(last.read_text())["number"] == ord("e")
 
 
 def test_the_conditions_of_a_given_evaluator_are_stated_and_kept_apart(tmp_path):

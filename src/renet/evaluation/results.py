@@ -29,6 +29,13 @@ Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
 """Title, header and rows."""
 
 
+def command_line() -> str:
+    """This process's command line, in which bytes that are no UTF-8 are replaced."""
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    # Python keeps such bytes of a file's name as surrogates, which cannot be written to a file.
+    return command.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
 @dataclass(frozen=True)
 class Provenance:
     """Origin of numbers: bundle, seed, command and code; part of every summary and figure."""
@@ -40,9 +47,7 @@ class Provenance:
     engine: str
     """Physics engine of the rollouts."""
     seed: int
-    command: str = field(
-        default_factory=lambda: shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    )
+    command: str = field(default_factory=command_line)
     """The command line that made the numbers; this process's by default."""
     date: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     """Date and time in UTC, ISO 8601; now by default."""
@@ -145,6 +150,22 @@ class PartMaker:
         """Names of the parts that are not on disk."""
         return [name for name in names if not self._path(name).exists()]
 
+    def check_kept(self) -> None:
+        """Read all parts that are on disk, before others are made; raises as `__call__`."""
+        for name in self.makers:
+            if self._path(name).exists():
+                self._read(name)
+
+    def _read(self, name: str) -> dict[str, Any]:
+        """Read a part from disk; raises as `__call__`."""
+        path = self._path(name)
+        part = read_results(path)
+        if part.get("key") != self._key:
+            raise RenetError(
+                f"{path} is of other settings than its name says: delete it and run the study again"
+            )
+        return part
+
     def __call__(self, name: str) -> dict[str, Any]:
         """Read a part from disk, or make it and write it there.
 
@@ -152,13 +173,7 @@ class PartMaker:
         """
         path = self._path(name)
         if path.exists():
-            part = read_results(path)
-            if part.get("key") != self._key:
-                raise RenetError(
-                    f"{path} is of other settings than its name says: delete it and run the study"
-                    " again"
-                )
-            return part
+            return self._read(name)
         part = plain(self.makers[name]()) | {"key": self._key}
         write_json(path, part)
         return part
@@ -189,6 +204,17 @@ def column(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
 def as_text(value: float | None, form: str, scale: float = 1.0) -> str:
     """A number, scaled, in a format such as ".2f"; a dash if it was not measured."""
     return "-" if value is None else format(scale * value, form)
+
+
+def table_rows(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows without the columns in which any of them has a list or a dictionary.
+
+    A cell of a table holds neither. What was not measured is None in any column.
+    """
+    nested = set()
+    for row in rows:
+        nested |= {name for name, value in row.items() if isinstance(value, (list, dict))}
+    return [{name: row[name] for name in row if name not in nested} for row in rows]
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -25,6 +25,7 @@ from renet.evaluation.results import (
     Table,
     output_folder,
     plain,
+    table_rows,
     write_csv,
     write_json,
     write_summary,
@@ -179,7 +180,8 @@ class Study:
                 default.
 
         Raises:
-            RenetError: the bundle cannot be used, or the folder cannot be written to.
+            RenetError: the bundle cannot be used, the folder cannot be written to, or a kept part
+                is damaged.
             MissingParts: this shard is made, and others are not.
         """
         # An evaluator cannot be sent to another process.
@@ -187,6 +189,8 @@ class Study:
             raise RenetError("each of several jobs makes its evaluator: override make_evaluator")
         evaluator = evaluator or self.make_evaluator()
         make = self.part_maker(evaluator)
+        # A damaged part is told before hours go into the others.
+        make.check_kept()
         self._make_share(make)
         if missing := make.missing(make.makers):
             raise MissingParts(
@@ -218,11 +222,7 @@ class Study:
     ) -> None:
         """Write the summary's files and figures to `out`."""
         write_json(self.out / "summary.json", summary)
-        # A cell of a table holds no list and no dictionary.
-        rows = []
-        for run in summary["runs"]:
-            rows.append({k: v for k, v in run.items() if not isinstance(v, (list, dict))})
-        write_csv(self.out / "summary.csv", rows)
+        write_csv(self.out / "summary.csv", table_rows(summary["runs"]))
         # matplotlib makes ticks when a figure is saved: the style must hold until then.
         with plt.rc_context(figures.STYLE):
             drawings = self.draw(summary, parts)

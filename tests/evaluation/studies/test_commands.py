@@ -1,5 +1,7 @@
 """What a robot did of what it was told, against numbers by hand."""
 
+import csv
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ from renet.evaluation.env import SimEnv, study_env_cfg
 from renet.evaluation.motion import Motion, MotionSensor
 from renet.evaluation.studies.commands import TWISTS, CommandStudy, drift, summary_of
 from renet.tasks.parkour_env_cfg import flat_env_cfg
+
+from ..fakes import FakeEvaluator
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +46,21 @@ def test_errors_are_those_of_the_means():
 def test_robots_that_all_fell_have_no_numbers():
     summary = summary_of([motion((0.5, 0.0, 0.0))], np.array([], int), np.array((0.6, 0.0, 0.0)))
     assert set(summary.values()) == {None}
+
+
+def test_a_command_at_which_all_robots_fell_is_in_the_results(tmp_path, monkeypatch):
+    walked = summary_of([motion((0.6, 0.0, 0.0))] * 2, np.array([0]), np.array((0.6, 0.0, 0.0)))
+    fallen = summary_of([motion((0.6, 0.0, 0.0))], np.array([], int), np.array((1.0, 0.0, 0.0)))
+    rows = []
+    for speed, measured in ((0.6, walked), (1.0, fallen)):
+        row = {"mode": "camera", "command": [speed, 0.0, 0.0], "robots": 2, "falls": 2}
+        rows.append(row | measured)
+    monkeypatch.setattr(CommandStudy, "parts", lambda *_: {"runs": lambda: {"runs": rows}})
+    CommandStudy(tmp_path, modes=("camera",)).run(FakeEvaluator())
+    with (tmp_path / "summary.csv").open() as file:
+        powers = [row["power"] for row in csv.DictReader(file)]
+    assert powers == ["50.0", ""]
+    assert (tmp_path / "commands.png").exists()
 
 
 @pytest.mark.parametrize(
