@@ -5,6 +5,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from renet.evaluation import demo, painter, video
@@ -147,6 +148,17 @@ def test_a_bundle_without_memory_runs_and_says_so(tmp_path, monkeypatch):
     assert sentence.endswith("of 2 robots each cross 0 in mode camera, 0 in mode memory.")
     assert "This bundle has no memory" in (tmp_path / "index.html").read_text()
     assert [run["fell"] for run in read_results(tmp_path / "summary.json")["runs"]] == [2, 2]
+
+
+def test_a_reader_that_leaves_early_does_not_cost_the_page(tmp_path, monkeypatch):
+    def leave(*table):
+        raise BrokenPipeError
+
+    monkeypatch.setattr(video, "film", lambda path, *args: path.write_bytes(b"\0\0\0\0ftyp"))
+    monkeypatch.setattr(demo, "show", leave)
+    with pytest.raises(BrokenPipeError):
+        run_demo(DemoStudy(tmp_path, robots=1, seconds=3.4), GapEvaluator(9.0))
+    check_page(tmp_path / "index.html", media=2)
 
 
 def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypatch):

@@ -203,10 +203,11 @@ class DemoStudy(WalkingStudy):
 def run_demo(study: DemoStudy, evaluator: Evaluator | None = None) -> str:
     """Run the study, write its page and return the page's first sentence."""
     summary = study.run(evaluator)
-    for table in study.tables(summary):
-        show(*table)
+    # The page is written first: a reader that leaves, such as `head`, ends the printing.
     page = study.out / "index.html"
     write_atomically(page, demo_page(summary, study.out).encode())
+    for table in study.tables(summary):
+        show(*table)
     print(f"Page: {page}; beside it: demo.png, film.mp4")
     return headline(summary)
 
