@@ -33,6 +33,7 @@ THEIRS = {"policy": Path("mine.onnx"), "adapter": "onnx-depth"}
         ({"modes": ("eyes",)}, "modes eyes: choose"),
         ({"seconds": 0.1}, "at least one second"),
         ({"out": Path("film")}, "a film is an .mp4: give --out film.mp4"),
+        ({"out": Path("film.MP4"), "seconds": 0.1}, "at least one second"),
         ({"bundle": Path("nowhere")}, "nowhere"),
         ({"bundle": Path(__file__).parent}, "no checkpoint"),
         ({"bundle": Path(__file__)}, "`renet evaluate log` draws a recording"),
@@ -46,6 +47,14 @@ def test_mistakes_are_named_before_anything_is_written(tmp_path, fields, message
     with pytest.raises(RenetError, match=message):
         run_play(PlayCfg(**({"out": tmp_path / "film.mp4", "viewer": "none"} | fields)))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_is_no_film(tmp_path):
+    folder = tmp_path / "film.mp4"
+    folder.mkdir()
+    with pytest.raises(RenetError, match=r"film\.mp4 is a folder: give --out the name of a film"):
+        run_play(PlayCfg(out=folder, viewer="none"))
+    assert not list(folder.iterdir())
 
 
 def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):

@@ -46,10 +46,10 @@ def picture(monkeypatch):
 
     monkeypatch.setattr(mediapy, "compress_video", keep)
 
-    def draw(trace: Trace, folder: Path) -> np.ndarray:
+    def draw(trace: Trace, folder: Path, fault: str = "black") -> np.ndarray:
         pictures.clear()
         scene = mujoco.MjSpec.from_string(SCENE)
-        film(folder / "film.mp4", scene, trace, {0: "memory"}, "black", steps=[0])
+        film(folder / "film.mp4", scene, trace, {0: "memory"}, fault, steps=[0])
         return pictures[0]
 
     return draw
@@ -90,3 +90,15 @@ def test_the_map_of_a_taller_robot_lies_on_the_ground(picture, tmp_path):
     assert count(picture(on_ground, tmp_path), REMEMBERS_COLOUR)[0] > 1000
     in_air = remembering(everything, unseen=False, height=0.38)
     assert count(picture(in_air, tmp_path), REMEMBERS_COLOUR)[0] == 0
+
+
+def test_the_names_of_several_faults_leave_distance_and_speed_legible(picture, tmp_path):
+    trace = remembering(np.ones(HEIGHT_MAP_SIZE, bool), unseen=False)
+    trace.failing[:] = True
+    trace.travelled[:] = 12.3
+    trace.forward_velocity[:] = -0.5
+    pace = np.s_[painter.PANEL[1] - 30 :, :160]
+    short = picture(trace, tmp_path)
+    long = picture(trace, tmp_path, "intermittent_blackout, salt_and_pepper, floor_reflection")
+    np.testing.assert_array_equal(short[pace], long[pace])
+    assert (short != long).any()

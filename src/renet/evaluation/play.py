@@ -123,8 +123,10 @@ def opened(cfg: PlayCfg) -> Iterator[tuple[Evaluator, Mapping[str, str]]]:
 def check_play(cfg: PlayCfg) -> None:
     """Raise RenetError for settings that no film can have."""
     name = cfg.out.name
-    if cfg.out.suffix != ".mp4":
+    if cfg.out.suffix.lower() != ".mp4":
         raise RenetError(f"a film is an .mp4: give --out {name}.mp4, not {name}")
+    if cfg.out.is_dir():
+        raise RenetError(f"{cfg.out} is a folder: give --out the name of a film in it")
     check_finite(cfg)
     if cfg.seconds < 1.0:
         raise RenetError(f"a film needs at least one second, got {cfg.seconds}")

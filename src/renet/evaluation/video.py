@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import mediapy
@@ -39,6 +40,8 @@ _CHIP = 116
 """Width of the state in the upper bar, pixels."""
 _TEXT = 20
 """Size of the bars' texts, legible at half of the film's size, pixels."""
+_CAMERA_SHARE = 0.57
+"""Share of the lower bar for the camera; the rest is for distance and speed."""
 _FPS = 25
 """Pictures per second, a divisor of the control rate."""
 _DOT = 0.025
@@ -217,5 +220,16 @@ def _stamp(
     if not fell:
         pace += f", {trace.speed[step, robot]:.1f} m/s"
     draw.text((8, height - _BAR + 3), pace, font=_font(_TEXT), fill=_WHITE)
-    place = (width - 8, height - _BAR + 3)
-    draw.text(place, camera, font=_font(_TEXT), fill=camera_colour, anchor="ra")
+    # The names of several faults are as small as they must be beside distance and speed.
+    size = _fitting_size(camera, _CAMERA_SHARE * width)
+    place = (width - 8, height - _BAR + 3 + (_TEXT - size) / 2)
+    draw.text(place, camera, font=_font(size), fill=camera_colour, anchor="ra")
+
+
+@cache
+def _fitting_size(text: str, room: float) -> int:
+    """Size of a text of the bars, smaller if it is too long for a width; both in pixels."""
+    size = _TEXT
+    while size > 1 and _font(size).getlength(text) > room:
+        size -= 1
+    return size
