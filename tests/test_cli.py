@@ -82,6 +82,7 @@ def test_help_of_a_task_fits_a_screen_and_says_where_the_rest_is(capsys, monkeyp
 def test_a_bar_keeps_share_and_time_left_at_80_columns(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
     title = "12/29 intermittent_blackout on stairs_down, 280 robots"
     assert list(progress(range(3), title)) == [0, 1, 2]
     plain = re.sub(r"\x1b\[[?\d;]*[A-Za-z]", "", capsys.readouterr().err)

@@ -150,11 +150,22 @@ def test_jobs_share_a_log(clock, capsys):
 
 def test_a_terminal_gets_a_bar_and_no_lines(clock, capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
     with terminal.ProgressLog(2).making(1):
         walk(clock, "stairs", 3, 60.0)
     shown = capsys.readouterr().err
     assert "100%" in shown
     assert "left" not in shown
+
+
+def test_a_terminal_that_cannot_draw_a_bar_gets_lines(clock, capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "dumb")
+    walk(clock, "stairs", 26, 5.0)
+    assert capsys.readouterr().err.splitlines() == [
+        "stairs  12/26  0:01:10 left",
+        "stairs  24/26  0:00:10 left",
+    ]
 
 
 HEADER = ("", "policy", "entry", "robot", "share", "its interval", "over")

@@ -187,7 +187,7 @@ def tell_progress(listener: Listener) -> None:
 def progress(steps: Sequence[_Step], title: str) -> Iterable[_Step]:
     """Iterate over steps, and show on standard error how many are done and the time left.
 
-    A terminal shows a bar; a file or a pipe gets a line a minute.
+    A terminal shows a bar; a file, a pipe or a terminal that cannot draw one gets a line a minute.
     """
     if _listener is not None:
         return _told(steps, title, _listener)
@@ -197,9 +197,12 @@ def progress(steps: Sequence[_Step], title: str) -> Iterable[_Step]:
 
 
 def shows_bars() -> bool:
-    """Return True if standard error is a terminal or a notebook, which can redraw a bar."""
+    """Return True if standard error is a notebook, or a terminal that can redraw a bar.
+
+    One of Emacs, TERM=dumb, cannot.
+    """
     console = Console(stderr=True)
-    return console.is_terminal or console.is_jupyter
+    return console.is_interactive or console.is_jupyter
 
 
 def _told(steps: Sequence[_Step], title: str, listener: Listener) -> Iterator[_Step]:

@@ -53,6 +53,19 @@ def test_a_film_that_fails_is_told_and_training_goes_on(tmp_path, said):
     assert said == ["No film it_00000010.mp4: no ffmpeg here"]
 
 
+def test_a_film_that_cannot_begin_is_told_and_the_next_one_begins(tmp_path, said):
+    films = Recorded(tmp_path, 10, True, said.append)
+    films.command = lambda checkpoint, film: ["/nowhere/nice"]  # type: ignore[method-assign]
+    save(tmp_path, 10)
+    films.iterate()
+    assert said == ["No film it_00000010.mp4: No such file or directory"]
+    del films.command
+    save(tmp_path, 20)
+    films.iterate()
+    films.close()
+    assert said[1:] == [f"Film: {tmp_path / 'films' / 'it_00000020.mp4'}"]
+
+
 def test_a_stopped_run_does_not_wait(tmp_path, said):
     save(tmp_path, 10)
     films = Recorded(tmp_path, 10, True, said.append)

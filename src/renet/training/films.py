@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from renet.errors import reason
 from renet.training.checkpoint import checkpoints
 from renet.training.runner import CHECKPOINTS
 
@@ -54,14 +55,18 @@ class Films:
         self._last_round = self._newest_round()
         checkpoint = self._checkpoints()[-1]
         self._path = self._run / FILMS / f"{checkpoint.name}.mp4"
-        self._process = subprocess.Popen(
-            self.command(checkpoint, self._path),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            # Ctrl-C reaches the training alone, which then ends the film.
-            start_new_session=True,
-        )
+        try:
+            self._process = subprocess.Popen(
+                self.command(checkpoint, self._path),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                # Ctrl-C reaches the training alone, which then ends the film.
+                start_new_session=True,
+            )
+        except OSError as error:
+            # Memory or the user's processes are used up, for example.
+            self._say(f"No film {self._path.name}: {reason(error)}")
 
     def command(self, checkpoint: Path, film: Path) -> Sequence[str]:
         """Return the command line that films a checkpoint."""

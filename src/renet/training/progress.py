@@ -48,9 +48,9 @@ class Report:
         self._lap_ends: deque[float] = deque([self._start], RECENT + 1)
         self._line_time = -math.inf
         self._latest: dict[str, float] = {}
-        # In a file a bar, which is redrawn all the time, would be noise.
+        # In a file a bar, which is redrawn all the time, would be noise; TERM=dumb shows none.
         self._live = None
-        if console.is_terminal:
+        if console.is_interactive:
             self._live = Live(
                 console=console,
                 get_renderable=self.picture,
