@@ -67,3 +67,14 @@ def test_which_end_is_down(watched, end, axis, degrees):
     for _ in range(2):
         display.step(state(quaternion=turned(axis, degrees)))
     assert said == [f"the base leans: {end} down"]
+
+
+def test_a_lean_that_shakes_about_the_limit_is_told_once(watched):
+    display, said = watched
+    limit = np.degrees(np.arcsin(TURN))
+    for step in range(50):
+        display.step(state(quaternion=turned("y", limit + 0.5 * (-1) ** step)))
+    assert said == ["the base leans: nose down"]
+    for degrees in (0.0, limit + 0.5):
+        display.step(state(quaternion=turned("y", degrees)))
+    assert said == 2 * ["the base leans: nose down"]

@@ -80,7 +80,7 @@ def motion() -> dict[str, np.ndarray]:
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
     """A CSV file of columns [T] by name."""
     header = ",".join(columns)
-    np.savetxt(path, np.stack([*columns.values()], 1), "%.9g", ",", header=header, comments="")
+    np.savetxt(path, np.stack([*columns.values()], 1), "%.13g", ",", header=header, comments="")
     return path
 
 

@@ -77,6 +77,10 @@ def milliseconds(columns):
     columns["time"] *= 1000.0
 
 
+def milliseconds_since_1970(columns):
+    columns["time"] = 1000.0 * (1.7e9 + columns["time"])
+
+
 def backwards(columns):
     columns["time"] = columns["time"][::-1]
 
@@ -93,6 +97,8 @@ def backwards(columns):
         (lambda c: c.update(kd=-c["kd"]), "Kp or Kd is negative"),
         (stall, r"time steps are unequal: 0.025 s after line 31, mostly 0.005 s"),
         (milliseconds, "rows are 5 s apart: the time must be in seconds"),
+        (milliseconds_since_1970, "rows are 5 s apart: the time must be in seconds"),
+        (lambda c: c.update(kp=0.0 * c["kp"]), "Kp of FR_hip_joint is 0"),
         (backwards, "rows are -0.005 s apart"),
         (lambda c: c.update({n: v[:1] for n, v in c.items()}), "it has no rows"),
     ],
@@ -118,6 +124,11 @@ def test_bad_columns(short, tmp_path, change, message):
         (lambda text: text.replace("\n3.01,", "\nlater,", 1), "could not convert string 'later'"),
         (lambda text: text.replace("kd", "kp", 1), "no column 'kd'"),
         (lambda text: text.replace("kd\n", "kd,kd\n").replace("0.5\n", "0.5,0.5\n"), "2 columns"),
+        (
+            lambda text: text.replace(",", ";").replace(".", ","),
+            "columns are separated by semicolons: take commas, and points in numbers",
+        ),
+        (lambda text: text.replace(",", "\t"), "columns are separated by tabs"),
         (lambda text: "a" * 100_000, "no header of a CSV file"),
         (lambda text: "\x00\x01\n" + text, "no header of a CSV file"),
     ],

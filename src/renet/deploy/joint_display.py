@@ -9,6 +9,9 @@ from renet.interface import JOINTS
 
 TURN = 0.25
 """Smallest turn of a joint, rad, and smallest sine of the base's lean that are reported."""
+HOLD = 0.2
+"""Sine of the lean down to which an end that was reported counts as down: noise about `TURN` alone
+would report it again and again."""
 _ENDS = {"FR": "front right", "FL": "front left", "RR": "rear right", "RL": "rear left"}
 WAYS = {
     "hip": ("foot moves to the robot's left", "foot moves to the robot's right"),
@@ -27,7 +30,8 @@ class JointDisplay:
         """Report lines by calling `say`."""
         self._say = say
         self._from: np.ndarray | None = None
-        self._leaning = ""
+        self._down: list[str] = []
+        """Ends of the base that are down."""
 
     def step(self, state: RobotState | None) -> None:
         """Report the joints and the lean that changed since they were last reported."""
@@ -54,9 +58,10 @@ class JointDisplay:
         gravity = projected_gravity(state.quaternion)
         down = []
         for axis, along, against in _LEANS:
-            if abs(gravity[axis]) >= TURN:
-                down.append(along if gravity[axis] > 0 else against)
-        leaning = " and ".join(down)
-        if leaning and leaning != self._leaning:
-            yield f"the base leans: {leaning} down"
-        self._leaning = leaning
+            end = along if gravity[axis] > 0 else against
+            least = HOLD if end in self._down else TURN
+            if abs(gravity[axis]) >= least:
+                down.append(end)
+        if down and down != self._down:
+            yield f"the base leans: {' and '.join(down)} down"
+        self._down = down

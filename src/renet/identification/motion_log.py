@@ -26,6 +26,10 @@ MAX_LOG = 100 * MEGABYTE
 """Largest size of a CSV file, bytes: 25 minutes at 200 Hz."""
 MAX_HEADER = 65_536
 """Largest size of its first line, bytes."""
+LARGEST_NUMBER = 1e20
+"""Largest number that is read; a time in nanoseconds since 1970 is 2e18."""
+SEPARATORS = {";": "semicolons", "\t": "tabs"}
+"""Names of characters that separate columns in place of commas."""
 MIN_RATE = 40.0
 """Lowest rate, Hz; at a lower one, the motion between two rows is unknown."""
 UNEVEN = 0.1
@@ -126,7 +130,7 @@ def read_motion_log(path: Path, csv: CsvCfg) -> MotionLog:
 
     Raises:
         RenetError: The file cannot be read or is of a dry run, a column is missing, a value is not
-            finite, time steps are unequal, or gains are unknown or change.
+            finite, time steps are unequal, gains are unknown or change, or a Kp is 0.
     """
     data = read_bytes(path, MAX_LOG, "log")
     sha256 = hashlib.sha256(data).hexdigest()
@@ -156,6 +160,7 @@ def _from_csv(data: bytes, csv: CsvCfg, sha256: str) -> MotionLog:
     for name in GAINS:
         given = getattr(csv, name)
         gains[name] = _of_kinds(given) if given else _constant(values[name])
+    _demand_stiffness(gains["kp"])
     return MotionLog(
         period=_period(values["time"][:, 0]) if csv.rate is None else 1.0 / csv.rate,
         target=values["target"],
@@ -174,6 +179,12 @@ def _read_header(data: bytes) -> list[str]:
         header = [name.strip().strip('"') for name in first_line.decode("utf-8-sig").split(",")]
     except UnicodeDecodeError as error:
         raise RenetError("its first line is not text: a log is a CSV file") from error
+    for separator, name in SEPARATORS.items():
+        # Programs in countries of decimal commas separate columns otherwise.
+        if len(header) == 1 and separator in header[0]:
+            raise RenetError(
+                f"its columns are separated by {name}: take commas, and points in numbers"
+            )
     if len(first_line) == MAX_HEADER or not "".join(header).isprintable():
         raise RenetError("its first line is no header of a CSV file")
     return header
@@ -230,7 +241,7 @@ def _read_columns(data: bytes, header: list[str], names: list[str]) -> dict[str,
     # Bytes that are no text raise it, too.
     except ValueError as error:
         raise RenetError(str(error).splitlines()[0]) from error
-    bad = np.argwhere(~np.isfinite(values) | (np.abs(values) > 1e12))
+    bad = np.argwhere(~np.isfinite(values) | (np.abs(values) > LARGEST_NUMBER))
     if len(bad):
         row, column = bad[0]
         raise RenetError(f"{names[column]!r} is {values[row, column]} in line {row + 2}")
@@ -263,6 +274,13 @@ def _constant(gains: np.ndarray) -> np.ndarray:
     if (gains[0] < 0.0).any():
         raise RenetError("Kp or Kd is negative")
     return gains[0]
+
+
+def _demand_stiffness(stiffness: np.ndarray) -> None:
+    """Raise RenetError for a joint without Kp, [12] N m/rad, which follows no target."""
+    for joint, value in zip(JOINTS, stiffness, strict=True):
+        if value == 0.0:
+            raise RenetError(f"Kp of {joint} is 0: a joint must follow its targets")
 
 
 def _from_recording(path: Path, csv: CsvCfg, sha256: str) -> MotionLog:

@@ -42,13 +42,17 @@ class Device:
         self.sensor.add_read_only_option(rs.option.depth_units, 0.001)
         self.sensor.add_read_only_option(rs.option.stereo_baseline, 50.0)
         self.number = 0
+        self.domain = rs.timestamp_domain.hardware_clock
+        self.stamp: float | None = None
+        """Timestamp of the next frames, ms; None for the sensor's own clock."""
 
     def send(self, millimetres: np.ndarray) -> None:
         self.number += 1
         frame = rs.software_video_frame()
         pixels = np.broadcast_to(millimetres, (480, 848)).astype(np.uint16)
         frame.pixels, frame.stride, frame.bpp = pixels, 2 * pixels.shape[1], 2
-        frame.timestamp, frame.domain = 33.3 * self.number, rs.timestamp_domain.hardware_clock
+        frame.timestamp = 33.3 * self.number if self.stamp is None else self.stamp
+        frame.domain = self.domain
         frame.frame_number, frame.profile, frame.depth_units = self.number, self.profile, 0.001
         self.sensor.on_video_frame(frame)
 
@@ -137,6 +141,30 @@ def test_the_sensors_own_number_and_clock_are_kept(device):
         device.number += 9
         now[0] += 0.4330
         assert shown() == pytest.approx(first + 11 * 0.0333, abs=1e-3)
+
+
+def test_frames_without_metadata_keep_their_age_when_the_wall_clock_is_set(monkeypatch, device):
+    """Without it, librealsense stamps frames by the wall clock as they arrive."""
+    device.domain = rs.timestamp_domain.system_time
+    wall = [1.8e9]
+    now = [5.0]
+    monkeypatch.setattr(realsense, "wall_clock", lambda: wall[0])
+
+    def age(delay: float) -> float:
+        """Return the apparent age of a frame that is read `delay` seconds after it arrived."""
+        device.stamp = 1000.0 * wall[0]
+        wall[0] += delay
+        now[0] += delay
+        device.send(np.array(700))
+        until(lambda: camera.latest() is not None and camera.latest().number == device.number)
+        return now[0] - camera.latest().time
+
+    with streaming(device, lambda: now[0]) as camera:
+        assert age(0.01) == pytest.approx(0.01, abs=1e-3)
+        for step in (-0.7, 0.7, -30.0, 30.0):
+            wall[0] += step
+            assert age(0.02) == pytest.approx(0.02, abs=1e-3)
+            assert age(0.3) == pytest.approx(0.3, abs=1e-3)
 
 
 def test_a_program_that_ends_without_closing_it_does_so(monkeypatch, device):

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import reduce
+from time import time as wall_clock
 from typing import Any
 
 import numpy as np
@@ -85,6 +86,30 @@ class ClockOffset:
         self._offset = min(self._offset + _MAX_DRIFT * passed, arrival - stamp)
         self._arrival = arrival
         return min(arrival, stamp + self._offset)
+
+
+class FrameClock:
+    """Converts the timestamps of one stream's frames, of whichever clock, to the robot's clock."""
+
+    def __init__(self, rs: Any) -> None:
+        """Begin a stream; `rs` is the module of librealsense."""
+        self._system_time = rs.timestamp_domain.system_time
+        self._offset = ClockOffset()
+        self._last = -np.inf
+        """Last timestamp of the camera's clock, s."""
+
+    def time(self, frame: Any, arrival: float) -> float:
+        """Return the time of a frame that has just arrived at `arrival`, s on the robot's clock."""
+        stamp = frame.get_timestamp() / 1000.0
+        # Without the metadata of frames, which not every kernel passes on, librealsense stamps them
+        # by the wall clock as they come. It may be set, so nothing of it is kept for later frames.
+        if frame.get_frame_timestamp_domain() == self._system_time:
+            return arrival - max(wall_clock() - stamp, 0.0)
+        # The camera's clock started anew: so must its offset.
+        if stamp < self._last - _CLOCK_RESET:
+            self._offset = ClockOffset()
+        self._last = stamp
+        return self._offset.time(stamp, arrival)
 
 
 class RealSenseCamera(Camera):
@@ -214,21 +239,15 @@ class RealSenseCamera(Camera):
     def _stream(self, queue: Any) -> None:
         """Prepare frames until they stop."""
         chain = _filters(self._rs)
-        offset = ClockOffset()
-        last = -np.inf
+        clock = FrameClock(self._rs)
         while not self._stop.is_set():
             arrived, frame = queue.try_wait_for_frame(round(1000 * FRAME_TIMEOUT))
             if not arrived:
                 self.problem = f"no frame for {FRAME_TIMEOUT:g} s"
                 return
-            # Read at once: preparing the image takes time.
-            now = self._clock()
             raw = frame.as_depth_frame()
-            stamp = raw.get_timestamp() / 1000.0
-            # The camera's clock started anew: so must its offset.
-            if stamp < last - _CLOCK_RESET:
-                offset = ClockOffset()
-            last = stamp
+            # Taken at once: preparing the image takes time.
+            time = clock.time(raw, self._clock())
             filtered = reduce(lambda image, step: step.process(image), chain, raw).as_depth_frame()
             # Depth is taken from the filtered image, holes are counted in the raw one.
             metres = np.asanyarray(filtered.get_data()) * filtered.get_units()
@@ -236,7 +255,7 @@ class RealSenseCamera(Camera):
             self._latest = DepthFrame(
                 image=self._preprocessor(filtered.get_profile()).image(metres),
                 number=raw.get_frame_number(),
-                time=offset.time(stamp, now),
+                time=time,
                 invalid=self._preprocessor(raw.get_profile()).invalid(pixels),
             )
             self.problem = ""
