@@ -59,12 +59,41 @@ def test_values_follow_the_joints():
             "the pose of FR_calf_joint is -1.8 rad, which must be within its limits, -1 to 1 rad",
         ),
         ({"limits": {".*": (-math.inf, math.nan)}}, "the pose of FR_hip_joint"),
+        ({"height": 0.0}, "the height of the robot Unitree Go1 must be above 0, got 0"),
+        ({"foot_radius": math.nan}, "the foot_radius of the robot .* must be above 0, got nan"),
+        (
+            {"motors": {**GO1.motors, "calf": Motor(torque=-35.0, velocity=20.0)}},
+            "the torque of the calf motors must be above 0, got -35",
+        ),
+        (
+            {"motors": {**GO1.motors, "hip": Motor(torque=23.7, velocity=0.0)}},
+            "the velocity of the hip motors must be above 0, got 0",
+        ),
         ({"mjcf": None}, "Unitree Go1 has no model: give its `mjcf` or its `spec`"),
     ],
 )
 def test_mistakes_are_named(changes, problem):
     with pytest.raises(RenetError, match=problem):
         replace(GO1, **changes)
+
+
+def test_a_motor_without_a_limit_of_its_velocity():
+    motors = dict.fromkeys(GO1.motors, Motor(torque=20.0, velocity=math.inf))
+    assert np.isinf(replace(GO1, motors=motors).velocity).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"stiffness": 120.0}, "the stiffness of .* is 120, .* at most max_stiffness, 100"),
+        ({"max_damping": 0.5}, "the damping of .* is 1, .* at most max_damping, 0.5"),
+    ],
+)
+def test_gains_that_no_driver_sends_are_refused(monkeypatch, changes, problem):
+    monkeypatch.setattr(module, "_ROBOTS", dict(module._ROBOTS))
+    with pytest.raises(RenetError, match=problem):
+        register_robot(replace(GO1, name="Spot", **changes))
+    assert "Spot" not in robots()
 
 
 def test_robots_are_found_by_name(monkeypatch):

@@ -78,6 +78,7 @@ class Robot:
         if set(self.motors) != set(KINDS):
             expected = ", ".join(KINDS)
             raise RenetError(f"motors must be of {expected}, not {', '.join(self.motors)}")
+        self._check_numbers()
         for joint, low, middle, high in zip(
             JOINTS, self.lower, self.default_position, self.upper, strict=True
         ):
@@ -87,6 +88,14 @@ class Robot:
                     f"the pose of {joint} is {middle:g} rad, which must be within its limits, "
                     f"{low:g} to {high:g} rad"
                 )
+
+    def _check_numbers(self) -> None:
+        """Raise RenetError for a number that must be positive and is not."""
+        for name in ("height", "foot_radius", "stiffness", "action_scale"):
+            _demand_positive(f"the {name} of the robot {self.name}", getattr(self, name))
+        for kind, motor in self.motors.items():
+            _demand_positive(f"the torque of the {kind} motors", motor.torque)
+            _demand_positive(f"the velocity of the {kind} motors", motor.velocity)
 
     def motor(self, joint: str) -> Motor:
         """Return the motor of a joint of `interface.JOINTS`."""
@@ -118,6 +127,12 @@ class Robot:
         return np.array([self.motor(joint).velocity for joint in JOINTS])
 
 
+def _demand_positive(name: str, value: float) -> None:
+    """Raise RenetError unless a value is above zero; NaN is not."""
+    if not value > 0.0:
+        raise RenetError(f"{name} must be above 0, got {value:g}")
+
+
 def _joint_values(name: str, values: Mapping[str, _T]) -> list[_T]:
     """List the value of each joint; raises RenetError unless each has exactly one."""
     found = []
@@ -135,7 +150,20 @@ _ROBOTS: dict[str, Robot] = {}
 
 
 def register_robot(robot: Robot) -> Robot:
-    """Make a robot known to simulators and drivers by its name, and return it."""
+    """Make a robot known to simulators and drivers by its name, and return it.
+
+    Raises:
+        RenetError: Its gains are larger than those that its drivers send.
+    """
+    for name in ("stiffness", "damping"):
+        gain = getattr(robot, name)
+        most = getattr(robot, f"max_{name}")
+        # Found now, not when a policy that was trained with it is to be deployed.
+        if not gain <= most:
+            raise RenetError(
+                f"the {name} of the robot {robot.name} is {gain:g}, and its drivers send at most "
+                f"max_{name}, {most:g}"
+            )
     _ROBOTS[robot.name] = robot
     return robot
 
