@@ -110,7 +110,9 @@ def pre_arm_problem(
         asked = getattr(teleop, name, 0.0)
         if asked != 0.0:
             return f"the operator already asks for {asked:.2f} {unit}: let go of the stick first"
-    if problem := power_problem(state, cfg.min_battery, cfg.max_temperature):
+    if problem := battery_problem(state, cfg.min_battery):
+        return problem
+    if problem := temperature_problem(state, cfg.max_temperature):
         return problem
     if fault := getattr(state, "fault", ""):
         return fault
@@ -123,10 +125,15 @@ def pre_arm_problem(
     return ""
 
 
-def power_problem(state: RobotState | None, battery: float, temperature: float) -> str:
-    """Name the battery below a charge or the motor above a temperature in °C; empty if neither."""
-    if getattr(state, "battery", math.nan) < battery:
-        return f"the battery has less than {battery:.0%} left"
-    if np.any(np.greater(getattr(state, "temperature", math.nan), temperature)):
-        return f"a motor has more than {temperature:.0f} °C"
+def battery_problem(state: RobotState | None, least: float) -> str:
+    """Name the battery if its charge, 0 to 1, is below a limit; empty if it is not."""
+    if getattr(state, "battery", math.nan) < least:
+        return f"the battery has less than {least:.0%} left"
+    return ""
+
+
+def temperature_problem(state: RobotState | None, most: float) -> str:
+    """Say that a motor is above a temperature, °C; empty if none is."""
+    if np.any(np.greater(getattr(state, "temperature", math.nan), most)):
+        return f"a motor has more than {most:.0f} °C"
     return ""
