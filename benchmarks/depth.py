@@ -13,7 +13,7 @@ from pathlib import Path
 import torch
 import tyro
 
-from facts import report
+from facts import errors_in_one_line, report
 from renet.interface import STEPS_PER_TICK
 from renet.sim.depth.raycast import TerrainScanner
 from renet.sim.threads import THREADS
@@ -87,4 +87,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

@@ -17,7 +17,7 @@ from mjlab.envs import ManagerBasedRlEnv
 from mjlab.tasks.registry import load_env_cfg
 from rich.progress import track
 
-from facts import report
+from facts import errors_in_one_line, report
 from renet.sim.native.engine import use_engine
 
 TASKS = {"": "Mjlab-Velocity-Flat-Unitree-Go1", "rough_": "Mjlab-Velocity-Rough-Unitree-Go1"}
@@ -67,4 +67,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

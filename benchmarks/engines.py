@@ -17,7 +17,7 @@ import tyro
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 
-from facts import report
+from facts import errors_in_one_line, report
 from pybullet_driver import BulletRobot
 from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
@@ -120,4 +120,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from renet.errors import RenetError
+from renet.files import write_atomically
 
 LOAD_BEFORE = os.getloadavg()[0]
 """Taken at import: later the benchmark's own work counts."""
@@ -60,10 +61,15 @@ def errors_in_one_line() -> Iterator[None]:
 
 
 def report(results: dict[str, Any], path: Path | None) -> None:
-    """Print a table and, if asked, write JSON."""
+    """Print a table and, if asked, write JSON, whose folder is made.
+
+    Raises:
+        RenetError: The file cannot be written.
+    """
     for name, value in results.items():
         shown = f"{value:,.4g}" if isinstance(value, float) else value
         shown = f"{len(value)} rows" if isinstance(value, list) else shown
         print(f"{name:<32} {shown}")
     if path is not None:
-        path.write_text(json.dumps({**results, "facts": facts()}, indent=1) + "\n")
+        text = json.dumps({**results, "facts": facts()}, indent=1) + "\n"
+        write_atomically(path, text.encode(), "results")

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from facts import report, spread
+from facts import errors_in_one_line, report, spread
 from renet.deploy.dds.network import Network
 from renet.deploy.realtime import realtime
 from renet.deploy.robots.base import JointCommand
@@ -71,4 +71,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

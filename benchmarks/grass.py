@@ -15,6 +15,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import onnxruntime
+from benchmarks.facts import errors_in_one_line
 
 from renet.bundle import Bundle
 from renet.deploy.cameras.sim import SimCamera
@@ -96,4 +97,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with errors_in_one_line():
+        main()

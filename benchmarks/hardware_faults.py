@@ -32,6 +32,7 @@ from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.limits import SafetyCfg
 from renet.deploy.safety.machine import ENDED, Mode
 from renet.deploy.teleop.base import TeleopCommand
+from renet.errors import RenetError
 from renet.interface import CONTROL_DT, JOINTS, Terrain, control_steps
 from renet.motor_models import IDEAL, find_motors
 from renet.robots import find_robot
@@ -63,7 +64,7 @@ class Cfg:
     bundle: str = "go1-parkour"
     """Name of the bundle."""
     motors: str = IDEAL
-    """Motors of the robot, as `renet deploy --motors` takes them."""
+    """Motors of healthy robots, as `renet deploy --motors` takes them; others have ideal ones."""
     seeds: tuple[int, ...] = (1,)
 
 
@@ -302,10 +303,18 @@ def judge(fault: Fault, outcome: dict) -> str:
 
 
 def main(cfg: Cfg) -> None:
-    """Run, print and write the results."""
+    """Run, print and write the results.
+
+    Raises:
+        RenetError: An option is of no use, or the file cannot be written.
+    """
+    # A servo acts on its own encoder here, which other motors would not know.
+    if cfg.motors != IDEAL and not cfg.minutes:
+        raise RenetError(
+            "parts fail on a robot with ideal motors: leave out --motors, or give --minutes"
+        )
     run = healthy if cfg.minutes else failing
-    with errors_in_one_line():
-        sets = [{"seed": seed, **run(cfg, seed)} for seed in cfg.seeds]
+    sets = [{"seed": seed, **run(cfg, seed)} for seed in cfg.seeds]
     results = {"bundle": cfg.bundle, "motors": cfg.motors, "sets": sets}
     report(results, cfg.json)
 
@@ -346,4 +355,5 @@ def healthy(cfg: Cfg, seed: int) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg, description=__doc__))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg, description=__doc__))

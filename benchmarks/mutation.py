@@ -19,7 +19,8 @@ from typing import Any
 
 import tyro
 
-from facts import report
+from facts import errors_in_one_line, report
+from renet.errors import RenetError, demand_name
 
 ROOT = Path(__file__).parents[1]
 PARTS = {
@@ -160,7 +161,16 @@ def run_again(folder: Path, result: dict[str, Any], cfg: Cfg) -> dict[str, Any]:
 
 
 def main(cfg: Cfg) -> None:
+    """Run the parts, and write the results after each.
+
+    Raises:
+        RenetError: There is no such part, or no result of it to run again.
+    """
     results = json.loads(cfg.json.read_text()) if cfg.json and cfg.json.exists() else {}
+    for part in cfg.parts:
+        demand_name("part", part, PARTS)
+        if cfg.again and part not in results:
+            raise RenetError(f"there is no result of {part} to run again: name its file by --json")
     for part in cfg.parts:
         folder = prepare(part, cfg.skip)
         if cfg.only:
@@ -175,4 +185,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.facts import report
+from benchmarks.facts import errors_in_one_line, report
 from playwright.sync_api import Browser
 from tests.browser import open_browser
 
@@ -121,4 +121,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with errors_in_one_line():
+        main()

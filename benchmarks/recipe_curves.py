@@ -2,13 +2,13 @@
 
 Writes docs/figures/recipe.csv, every tenth iteration of each run, and docs/figures/recipe.png from
 that file and the curves of the flagship and of its recipe's other seeds; without runs the figure
-alone is drawn again. Runs of one label have one colour.
+alone is drawn again. Runs of one label have one colour, and each of them another seed.
 """
 
 from __future__ import annotations
 
 import csv
-import json
+import io
 import sys
 from pathlib import Path
 from statistics import fmean
@@ -17,9 +17,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from renet.curves import CURVES, LEVEL, read_curves
+from facts import errors_in_one_line
+from renet.curves import CURVES, LEVEL, STEPS, read_curves
+from renet.errors import RenetError
 from renet.evaluation import figures
-from renet.files import read_object
+from renet.files import read_object, write_atomically
 from renet.terrain.tiles import tiles
 from renet.training.config import steps_per_env
 from renet.training.train import CONFIG_FILE
@@ -58,14 +60,70 @@ def level_curves(run: Path, steps: int = 0, every: int = 10) -> list[dict[str, f
     return rows
 
 
+def first_steps(run: Path) -> int:
+    """Environment steps with which a run began: those of the run that it went on from, or 0."""
+    known = read_curves(run / CURVES).get(STEPS, {})
+    if not known:
+        return 0
+    config = read_object(run / CONFIG_FILE)
+    robots = config["env"]["scene"]["num_envs"]
+    agent = config["agent"]
+    batch = robots * steps_per_env(agent["num_steps_per_env"], agent["batch_size"], robots, 0)
+    first = round(known[min(known)])
+    # The curve's first value is of a moment within the first iteration.
+    return first if first > batch else 0
+
+
 def rows(argument: str) -> list[dict[str, str | float]]:
-    """Environment steps, hours and the curriculum's levels of a run, every tenth iteration."""
+    """Environment steps, hours and the levels of the kinds drawn, every tenth iteration.
+
+    Args:
+        argument: a run's folder, or FOLDER=LABEL.
+
+    Raises:
+        RenetError: The folder holds no run, or one without levels of these kinds.
+    """
     folder, _, label = argument.partition("=")
-    config = json.loads((Path(folder) / "config.json").read_text())
-    seed = config["agent"]["seed"]
-    return [
-        {"run": label or f"seed {seed}", "seed": seed, **row} for row in level_curves(Path(folder))
-    ]
+    run = Path(folder)
+    seed = read_object(run / CONFIG_FILE)["agent"]["seed"]
+    table = []
+    for levels in level_curves(run, first_steps(run)):
+        missing = [kind for kind in tiles() if kind not in levels]
+        if missing:
+            raise RenetError(f"{run} has no levels of {missing[0]}: name runs of a Parkour task")
+        row: dict[str, str | float] = {"run": label or f"seed {seed}", "seed": seed}
+        # Kinds of one's own have no panel.
+        for name in ("steps", "hours", *tiles()):
+            row[name] = levels[name]
+        table.append(row)
+    return table
+
+
+def kept_rows(runs: list[str]) -> list[dict[str, str | float]]:
+    """Rows of all runs; raises RenetError where two could not be told apart, or there are none."""
+    table: list[dict[str, str | float]] = []
+    names: set[tuple[str | float, str | float]] = set()
+    for run in runs:
+        part = rows(run)
+        if not part:
+            continue
+        name = (part[0]["run"], part[0]["seed"])
+        if name in names:
+            raise RenetError(f"two runs are named {name[0]}, with seed {name[1]}: write RUN=LABEL")
+        names.add(name)
+        table += part
+    if not table:
+        raise RenetError("these runs have fewer than ten iterations: there is nothing to draw")
+    return table
+
+
+def as_csv(table: list[dict[str, str | float]]) -> str:
+    """Rows as CSV, with a header."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(table[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue()
 
 
 def draw(table: list[dict[str, str]]) -> None:
@@ -90,7 +148,7 @@ def draw(table: list[dict[str, str]]) -> None:
         lines = [plt.Line2D([], [], **look(labels, label)) for label in labels]
         words = [f"{label} ({last_step(table, label) / 1e6:.0f} M steps)" for label in labels]
         figure.legend(lines, words, loc="outside upper center", alignment="left")
-        OUT.with_suffix(".png").write_bytes(figures.png(figure))
+        write_atomically(OUT.with_suffix(".png"), figures.png(figure), "figure")
 
 
 def look(labels: list[str], label: str) -> dict[str, Any]:
@@ -110,25 +168,22 @@ def last_step(table: list[dict[str, str]], label: str) -> float:
 
 
 def main(runs: list[str]) -> None:
-    """Keep the runs' levels, and draw them."""
+    """Draw the runs' levels, and keep them."""
     path = OUT.with_suffix(".csv")
-    if runs:
-        kept = [row for run in runs for row in rows(run)]
-        if not kept:  # Before anything is overwritten.
-            raise SystemExit("these runs have fewer than ten iterations: there is nothing to draw")
-        with path.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(kept[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(kept)
-    earlier = list(csv.DictReader(path.read_text().splitlines()))
+    text = as_csv(kept_rows(runs)) if runs else path.read_text()
+    kept = list(csv.DictReader(text.splitlines()))
     flagship = []
     for number in (1, 2, 3):
-        text = (FLAGSHIP / f"seed_{number}.csv").read_text()
+        curve = (FLAGSHIP / f"seed_{number}.csv").read_text()
         label = SHIPPED if number == 1 else SIBLINGS
-        for row in csv.DictReader(text.splitlines()):
+        for row in csv.DictReader(curve.splitlines()):
             flagship.append(row | {"run": label, "seed": str(number)})
-    draw([*flagship, *earlier])
+    draw([*flagship, *kept])
+    # Only what can be drawn replaces the earlier runs.
+    if runs:
+        write_atomically(path, text.encode(), "curves")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    with errors_in_one_line():
+        main(sys.argv[1:])

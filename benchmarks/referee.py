@@ -16,6 +16,7 @@ import tyro
 from torch import Tensor, nn
 
 from facts import errors_in_one_line
+from renet.files import write_atomically
 from renet.interface import LATENT, PROPRIOCEPTION_SIZE, STEPS_PER_TICK
 from renet.models.renet import RENet
 from renet.tasks.entity import ACTION_CLIP
@@ -99,7 +100,8 @@ class BlindPolicy(nn.Module):
 def main(cfg: Cfg) -> Path:
     """Write the TorchScript file; returns its path."""
     model = load_networks(checkpoints.find(cfg.checkpoint))
-    torch.jit.script(BlindPolicy(model)).save(str(cfg.out))
+    policy = torch.jit.script(BlindPolicy(model))
+    write_atomically(cfg.out, policy.save_to_buffer(), "policy")
     return cfg.out
 
 

@@ -42,6 +42,7 @@ from renet.deploy.safety.limits import limited_velocity
 from renet.deploy.steering import STEERINGS
 from renet.deploy.teleop.base import TeleopCommand
 from renet.evaluation.adapters.base import LEFT_FIRST
+from renet.files import write_atomically
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 
 MANIFEST = read_manifest(pretrained("go2-parkour"))
@@ -146,7 +147,8 @@ def main() -> None:
             "dm_control": version_of("dm-control"),
             "facts": facts(),
         }
-        own.json.write_text(json.dumps(record, indent=1) + "\n")
+        text = json.dumps(record, indent=1) + "\n"
+        write_atomically(own.json, text.encode(), "results")
 
 
 def revision() -> str:

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tyro
 
-from facts import report
+from facts import errors_in_one_line, report
 from renet.bundle import Bundle
 from renet.bundle.manifest import RobotSpec
 from renet.bundle.models import MODELS
@@ -318,4 +318,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

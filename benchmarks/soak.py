@@ -17,7 +17,6 @@ them write to one folder.
 from __future__ import annotations
 
 import ctypes
-import json
 import math
 import mmap
 import os
@@ -38,7 +37,7 @@ import numpy as np
 import tyro
 
 from disturbances import Body, Failure, Means, ShakyCamera, ShakyRobot
-from facts import report
+from facts import errors_in_one_line, report
 from flights import Flights
 from promises import Promises, watch_warnings
 from renet.bundle import Bundle
@@ -54,6 +53,7 @@ from renet.deploy.safety.machine import Mode, SafetyMachine
 from renet.deploy.safety.watchdog import interruptible
 from renet.deploy.teleop.base import TeleopCommand
 from renet.errors import RenetError
+from renet.files import MEGABYTE, read_object, write_atomically
 from renet.interface import CONTROL_DT, TURN_GAIN
 from renet.pilot.inference import InlineInference, ThreadedInference
 from renet.robots import Robot
@@ -68,6 +68,8 @@ TIMED = 7
 """Of so many control steps the CPU time of one is measured; vision has every fifth."""
 SETTLED = 5
 """Minutes after which memory may grow no more."""
+MAX_RESULT_SIZE = 64 * MEGABYTE
+"""Largest file of results that is drawn, bytes."""
 STEP = np.dtype([("now", "f8"), ("share", "f8"), ("vp", "?"), ("op", "?"), ("falls", "?")])
 """Summary of a control step: its time, s, the largest joint target as a share of the envelope, and
 flags: VP drives the walk, OP does, the robot falls."""
@@ -78,7 +80,8 @@ class Cfg:
     json: Path | None = None
     """File for the results."""
     plot: Path | None = None
-    """Picture of the results; with --minutes 0 of those that the file holds already."""
+    """Picture of the results, which needs --json; with --minutes 0 of those that the file holds
+    already."""
     minutes: float = 60.0
     """Simulated; Ctrl-C and TERM end it earlier, with the results so far."""
     terrain: str = "obstacles"
@@ -421,7 +424,11 @@ def by_minute(
 
 
 def plot(results: dict[str, Any], path: Path) -> None:
-    """Memory, tick times, events and shares of the envelope, by minute."""
+    """Memory, tick times, events and shares of the envelope, by minute.
+
+    Raises:
+        RenetError: No minute of the results is whole, or the picture cannot be written.
+    """
     import matplotlib.pyplot as plt
 
     from renet.evaluation import figures
@@ -434,6 +441,8 @@ def plot(results: dict[str, Any], path: Path) -> None:
         "load of the\ncomputer": ("load",),
     }
     rows = results["by_minute"]
+    if not rows:
+        raise RenetError("there is nothing to draw: the soak did not last for a minute")
     minutes = range(1, len(rows) + 1)
     with plt.rc_context(figures.STYLE):
         figure, axes = plt.subplots(
@@ -451,11 +460,19 @@ def plot(results: dict[str, Any], path: Path) -> None:
         axes[-1].set_xlabel("simulated minute")
         disturbances = sum(results["given"].values())
         figure.suptitle(f"{len(rows)} minutes, {disturbances:,} disturbances", x=0.01, ha="left")
-        path.write_bytes(figures.png(figure))
+        write_atomically(path, figures.png(figure), "picture")
 
 
 def main(cfg: Cfg) -> None:
-    """Run, print and write the results; a breach ends with exit code 1."""
+    """Run, print and write the results; a breach ends with exit code 1.
+
+    Raises:
+        RenetError: An option is of no use, or a file cannot be read or written.
+    """
+    if cfg.plot is not None and cfg.json is None:
+        raise RenetError("--plot draws a file of results: give --json, too")
+    if cfg.plot is not None and 0 < cfg.minutes < 1:
+        raise RenetError(f"--plot draws whole minutes: give --minutes above {cfg.minutes:g}")
     broken = False
     if cfg.minutes > 0:
         # Else malloc keeps the arrays of the densest simulated grass for good.
@@ -465,10 +482,11 @@ def main(cfg: Cfg) -> None:
             report(results, cfg.json)
             broken = bool(results["breaches"] or results["recording_problems"])
     if cfg.plot is not None and cfg.json is not None:
-        plot(json.loads(cfg.json.read_text()), cfg.plot)
+        plot(read_object(cfg.json, "results", MAX_RESULT_SIZE), cfg.plot)
     if broken:
         sys.exit(1)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

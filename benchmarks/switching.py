@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import tyro
 
-from facts import report, spread
+from facts import errors_in_one_line, report, spread
 from renet.bundle import Bundle
 from renet.deploy.cameras.faulty import FaultyCamera
 from renet.deploy.cameras.sim import SimCamera
@@ -113,4 +113,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

@@ -26,7 +26,7 @@ from mjlab.tasks.registry import load_env_cfg, load_rl_cfg
 from rich.progress import track
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from facts import report
+from facts import errors_in_one_line, report
 from renet.interface import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TICK, TRUNK
 from renet.sim.native.engine import use_engine
 from renet.tasks import RenetEnv, make_env
@@ -239,4 +239,5 @@ def main(cfg: Cfg) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Cfg))
+    with errors_in_one_line():
+        main(tyro.cli(Cfg))

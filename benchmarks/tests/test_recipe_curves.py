@@ -1,6 +1,9 @@
 """Curves of a training against a sum by hand."""
 
+import csv
 import json
+from collections.abc import Sequence
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -8,6 +11,7 @@ import pytest
 import recipe_curves
 from recipe_curves import level_curves
 from renet.curves import CURVES
+from renet.errors import RenetError
 from renet.terrain.tiles import tiles
 
 OTHERS = ((1, 1_000_000), (2, 2_000_000), (2, 3_000_000))
@@ -57,15 +61,76 @@ def test_each_label_is_in_the_legend_with_its_length(tmp_path, monkeypatch):
     ]
 
 
-def test_runs_too_short_to_draw_leave_the_file_as_it_is(tmp_path, monkeypatch):
-    out = tmp_path / "recipe"
-    out.with_suffix(".csv").write_text("kept\n")
-    monkeypatch.setattr(recipe_curves, "OUT", out)
-    (tmp_path / "config.json").write_text(
-        '{"agent": {"num_steps_per_env": 5, "batch_size": 5, "seed": 1},'
-        ' "env": {"scene": {"num_envs": 1}}}'
+@pytest.fixture
+def out(tmp_path, monkeypatch):
+    """Path of the figure and the table, without their endings; the table holds earlier runs."""
+    path = tmp_path / "recipe"
+    path.with_suffix(".csv").write_text("kept\n")
+    monkeypatch.setattr(recipe_curves, "OUT", path)
+    return path
+
+
+def write_run(folder: Path, kinds: Sequence[str], iterations: int = 10, first: float = 300.0):
+    """Write a run of 100 robots, of 500 environment steps an iteration, and of seed 7.
+
+    Args:
+        folder: its folder, which is made.
+        kinds: kinds of tile whose level is the number of the iteration.
+        iterations: number of iterations.
+        first: value of the curve of environment steps in the first of them.
+    """
+    folder.mkdir()
+    agent = {"num_steps_per_env": 5, "batch_size": 500, "seed": 7}
+    config = {"agent": agent, "env": {"scene": {"num_envs": 100}}}
+    (folder / "config.json").write_text(json.dumps(config))
+    lines = ["iteration,name,value"]
+    for number in range(iterations):
+        lines.append(f"{number},Perf/total_fps,1000")
+        lines.append(f"{number},Curriculum/environment_steps,{first + 500 * number}")
+        lines += [f"{number},Curriculum/level/{kind},{number}" for kind in kinds]
+    (folder / CURVES).write_text("\n".join(lines) + "\n")
+    return str(folder)
+
+
+def written(out: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(out.with_suffix(".csv").read_text().splitlines()))
+
+
+def test_a_kind_of_tile_of_ones_own_is_left_out_whichever_run_has_it(tmp_path, out):
+    usual = write_run(tmp_path / "usual", list(tiles()))
+    scene = write_run(tmp_path / "scene", ["own", *tiles()])
+    recipe_curves.main([f"{usual}=usual", f"{scene}=scene"])
+    rows = written(out)
+    assert [row["run"] for row in rows] == ["usual", "scene"]
+    assert {*rows[0]} == {"run", "seed", "steps", "hours", *tiles()}
+    assert [row["gap"] for row in rows] == ["4.5", "4.5"]
+    assert out.with_suffix(".png").exists()
+
+
+def test_a_run_that_goes_on_from_another_begins_at_its_steps(tmp_path, out):
+    begun = write_run(tmp_path / "begun", list(tiles()))
+    branch = write_run(tmp_path / "branch", list(tiles()), first=2_000_300.0)
+    recipe_curves.main([f"{begun}=begun", f"{branch}=branch"])
+    assert [float(row["steps"]) for row in written(out)] == pytest.approx(
+        [5000, 2_005_000], abs=500
     )
-    (tmp_path / CURVES).write_text("iteration,name,value\n0,Perf/total_fps,1000\n")
-    with pytest.raises(SystemExit, match="nothing to draw"):
-        recipe_curves.main([str(tmp_path)])
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["short"], "nothing to draw"),
+        (["flat"], "no levels of"),
+        (["one=mine", "two=mine"], "two runs are named mine, with seed 7"),
+        (["nowhere"], "cannot read"),
+    ],
+)
+def test_runs_that_cannot_be_drawn_leave_the_file_as_it_is(names, message, tmp_path, out):
+    write_run(tmp_path / "short", list(tiles()), iterations=9)
+    write_run(tmp_path / "flat", [])
+    write_run(tmp_path / "one", list(tiles()))
+    write_run(tmp_path / "two", list(tiles()))
+    with pytest.raises(RenetError, match=message):
+        recipe_curves.main([str(tmp_path / name) for name in names])
     assert out.with_suffix(".csv").read_text() == "kept\n"
+    assert not out.with_suffix(".png").exists()
