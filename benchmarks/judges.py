@@ -18,6 +18,7 @@ import tyro
 
 from baselines.switches import Gate, ReturnSwitch, collect, fit
 from baselines.withholding import RivalEvaluator
+from renet.bundle import find_bundle
 from renet.errors import RenetError
 from renet.evaluation.benchmark.families import LIES, LOUD, level_at
 from renet.evaluation.benchmark.study import BenchmarkStudy
@@ -56,10 +57,16 @@ class Cfg:
     def __post_init__(self) -> None:
         if self.judge == "return" and self.withholds:
             raise RenetError("VB-Com's rule compares policies: it can only hand over")
+        if self.study.policy is not None:
+            raise RenetError("a judge is of a bundle's camera: give --study.bundle, not a policy")
+        if self.study.verify is not None:
+            raise RenetError("no judge verifies a result: leave out --study.verify")
+        if self.study.jobs > 1:
+            raise RenetError("a judge walks in one process: leave out --study.jobs")
         if self.study.out == BenchmarkStudy.out:
             self.study = replace(self.study, out=Path(f"results/{self.name}"))
         if self.study.method is None:
-            self.study = replace(self.study, method="go1-parkour")
+            self.study = replace(self.study, method=find_bundle(self.study.bundle).name)
 
     @property
     def name(self) -> str:

@@ -29,6 +29,7 @@ from renet.errors import RenetError
 from renet.evaluation.results import plain, read_results, write_json
 from renet.evaluation.studies.terrain import TABLE, TerrainStudy
 from renet.models.config import ModelCfg
+from renet.motor_models import IDEAL
 from renet.training import checkpoint as checkpoints
 from renet.training.config import from_dict, steps_per_env
 from renet.training.train import TrainCfg, train
@@ -247,8 +248,10 @@ def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     if results is None or results["steps"] < cfg.steps:
         return None
     names = ("robots", "quick", "seed", "speed", "seconds", "levels", "kinds", "fault")
-    settings = {"conditions": "nominal", **results["settings"]}  # Older results do not say so.
-    same = all(settings[n] == plain(getattr(cfg.study, n)) for n in (*names, "conditions"))
+    # Older results do not say these.
+    unsaid = {"conditions": "nominal", "motors": IDEAL, "scene": None}
+    settings = unsaid | results["settings"]
+    same = all(settings[n] == plain(getattr(cfg.study, n)) for n in (*names, *unsaid))
     return results if same else None
 
 

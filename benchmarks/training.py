@@ -11,7 +11,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,6 +31,7 @@ from renet.interface import ACTION_SIZE, DEPTH_RANGE, DEPTH_SHAPE, STEPS_PER_TIC
 from renet.sim.native.engine import use_engine
 from renet.tasks import RenetEnv, make_env
 from renet.tasks.env import env_cfg
+from renet.training import checkpoint as checkpoints
 from renet.training.runner import RenetRunner
 from renet.training.train import TrainCfg, make_vec_env, quiet
 
@@ -50,7 +51,8 @@ class Cfg:
     engine: str = "auto"
     """auto, native or warp."""
     resume: Path | None = None
-    """Checkpoint to go on from: robots that walk are reset less often than untrained ones."""
+    """Checkpoint to go on from, with its settings, or a folder with one: robots that walk are reset
+    less often than untrained ones."""
     iterations: int = 6
     """Iterations measured, after one that warms up."""
     stock: bool = True
@@ -110,12 +112,28 @@ def operations(env: RenetEnv) -> dict[str, float]:
     }
 
 
+def settings(cfg: Cfg) -> TrainCfg:
+    """Settings of the training: the task's, or those of the checkpoint that it goes on from."""
+    if cfg.resume is None:
+        made = TrainCfg.from_task(cfg.task)
+    else:
+        made = TrainCfg.resumed(checkpoints.load_state(checkpoints.find(cfg.resume)), cfg.task)
+    made.env.scene.num_envs = cfg.num_envs
+    return replace(made, engine=cfg.engine)
+
+
 def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
-    recipe = TrainCfg.from_task(cfg.task, engine=cfg.engine)
-    recipe.env.scene.num_envs = cfg.num_envs
+    """Train, and return where the time goes.
+
+    Returns:
+        Among others `profile`, the parts' shares of an iteration, and `learning`, the shares in
+        which policy and estimators learn: at the same time on a CPU, so that `update` is less than
+        their sum.
+    """
+    made = settings(cfg)
     with redirect_stdout(StringIO()):
-        vec_env = make_vec_env(recipe, cfg.device)
-        runner = RenetRunner(vec_env, asdict(recipe.agent), folder, cfg.device)
+        vec_env = make_vec_env(made, cfg.device)
+        runner = RenetRunner(vec_env, asdict(made.agent), folder, cfg.device)
     env: Any = vec_env.unwrapped
     runner.open_log()
     if cfg.resume:
@@ -133,14 +151,18 @@ def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
         (runner.logger, "process_env_step", "log"),
         (runner.logger, "log", "log"),
         (runner.alg, "compute_returns", "values"),
-        (runner.alg.np3o, "update", "update: N-P3O"),
-        (runner.alg.supervision, "update", "update: supervision"),
+        (runner.alg, "_learn", "update"),
     ):
         watch.wrap(owner, method, part)
+    learning = Stopwatch(cfg.device)
+    learning.wrap(runner.alg.np3o, "update", "N-P3O")
+    learning.wrap(runner.alg.supervision, "update", "supervision")
     runner.alg.model.train()
     with quiet() as console:
         obs = runner._iterate(vec_env.get_observations(), 0, cfg.iterations + 1)
         watch.seconds.clear()
+        learning.seconds.clear()
+        steps_before = runner.alg.steps
         start = watch.now()
         what = f"{cfg.task}, {cfg.num_envs} envs"
         for i in track(range(cfg.iterations), what, transient=True, console=console):
@@ -150,7 +172,8 @@ def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
     inside = ("physics", "forward", "depth", "terrain scans")
     parts["managers"] = parts.pop("environment") - sum(parts[name] for name in inside)
     parts["rest"] = total - sum(parts.values())
-    steps = cfg.iterations * runner.cfg["num_steps_per_env"] * cfg.num_envs
+    # Batches may grow from one iteration to the next.
+    steps = runner.alg.steps - steps_before
     results = {
         "task": cfg.task,
         "num_envs": cfg.num_envs,
@@ -160,6 +183,7 @@ def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
         "seconds_per_iteration": total / cfg.iterations,
         **operations(env),
         "profile": {name: value / total for name, value in sorted(parts.items())},
+        "learning": {name: value / total for name, value in sorted(learning.seconds.items())},
     }
     vec_env.close()
     return results
@@ -230,6 +254,8 @@ def main(cfg: Cfg) -> None:
     results["peak_memory_bytes"] = peak_memory(cfg.device)
     for name, share in results["profile"].items():
         print(f"  {name:<22} {share:6.1%}")
+    for name, share in results["learning"].items():
+        print(f"  of the update, {name:<15} {share:6.1%}")
     if cfg.stock:
         results["stock_env_steps_per_s"] = stock_steps_per_second(cfg)
         results["ratio_to_stock"] = results["env_steps_per_s"] / results["stock_env_steps_per_s"]

@@ -132,6 +132,14 @@ def test_differences_are_from_what_seeds_predict() -> None:
     assert lines[2].endswith("outside: none")
 
 
+def test_a_row_that_was_judged_with_ideal_motors_is_not_judged_with_others() -> None:
+    results = Path(table1.__file__).parent / "results" / "table1"
+    cfg = table1.Cfg(results=results)
+    others = replace(cfg, study=replace(cfg.study, motors="go1"))
+    judged = [table1.measured(one, ORACLE) is not None for one in (cfg, others)]
+    assert judged == [True, False]
+
+
 def test_results_outlive_their_runs_and_count_for_their_budget_alone(done, tmp_path) -> None:
     cfg, _, _ = done
     elsewhere = replace(cfg, out=tmp_path)

@@ -1,5 +1,6 @@
 """Rivals that withhold images, and those that hand over."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -62,3 +63,23 @@ def test_vb_com_can_only_hand_over():
 
 def test_each_judge_has_a_folder_of_its_own():
     assert Cfg("oracle", BenchmarkStudy(), withholds=True).study.out.name == "oracle_withholds"
+
+
+@pytest.mark.parametrize(
+    ("bundle", "method"), [(None, "go1-parkour"), (Path("go2-parkour"), "go2-parkour")]
+)
+def test_a_judges_result_is_named_after_the_bundle_that_walks(bundle, method):
+    assert Cfg("oracle", BenchmarkStudy(bundle=bundle)).study.method == method
+
+
+@pytest.mark.parametrize(
+    ("study", "message"),
+    [
+        ({"policy": Path("himloco.pt"), "adapter": "himloco"}, "give --study.bundle"),
+        ({"verify": Path("result.json")}, "leave out --study.verify"),
+        ({"jobs": 2}, "leave out --study.jobs"),
+    ],
+)
+def test_settings_that_no_judge_obeys_are_refused_before_it_is_trained(study, message):
+    with pytest.raises(RenetError, match=message):
+        Cfg("gate", BenchmarkStudy(**study))
