@@ -3,7 +3,11 @@
 # benchmark.sh FOLDER, which holds go1_policy.onnx, himloco.pt, go2_moe_cts_124k.pt and robot_lab.pt
 # (docs/benchmark.md says where they are).
 set -euo pipefail
-models=$1
+models=$(realpath "${1:?name the folder of the models}")
+# What is missing is told at once, not after hours.
+for file in go1_policy.onnx himloco.pt go2_moe_cts_124k.pt robot_lab.pt; do
+    [[ -f $models/$file ]] || { echo "benchmark.sh: there is no $models/$file" >&2; exit 2; }
+done
 cd "$(dirname "$0")/.."
 kept=benchmarks/results/benchmark
 mkdir -p "$kept/full"

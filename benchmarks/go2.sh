@@ -16,5 +16,5 @@ study blackout memory --grounds $version_1 --without 2 6
 study noise faults --preset noise
 study margins margins --quick --seconds 5
 study severity_5 faults --severities 5 --onsets 1.5 --healthy-minutes 0 --modes camera memory blind
-cp results/go2/severity_5/summary.json benchmarks/results/go2/severity_5.json
 cp results/go2/memory/memory.png docs/figures/go2_memory.png
+python tools/tables.py --fill

@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Measures the policy that ships: every number and figure of docs/results.md and docs/memory.md.
+# Measures go1-parkour: its numbers and figures in docs/results.md and docs/memory.md, except those of
+# a learned gate and of VB-Com's switch (benchmarks/NOTES.md, "Other switches, ground by ground").
 # Takes hours on one core; parts of studies that are done are not run again.
 set -euo pipefail
 cd "$(dirname "$0")/.."

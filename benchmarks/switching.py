@@ -24,6 +24,7 @@ from renet.deploy.robots.sim.mujoco import MujocoRobot
 from renet.deploy.robots.sim.scene import build_scene
 from renet.deploy.safety.machine import Mode
 from renet.deploy.teleop.scripted import ScriptedTeleop
+from renet.errors import RenetError
 from renet.faults import parse_fault
 from renet.interface import LEGS
 
@@ -88,13 +89,20 @@ def without_memory(bundle: Bundle) -> Bundle:
 
 
 def main(cfg: Cfg) -> None:
+    """Walk, and print and write the results.
+
+    Raises:
+        RenetError: There is no seed, no estimator switched, or the file cannot be written.
+    """
+    if cfg.seeds < 1:
+        raise RenetError(f"seeds must be at least 1, got {cfg.seeds}")
     bundle, results = Bundle.load(), {}
     for terrain in cfg.terrains:
         first, after, others = [], [], []
         for seed in range(1, cfg.seeds + 1):
             rows = walk(without_memory(bundle), terrain, cfg.seconds, seed)
             vision = np.array([row[0] for row in rows])
-            numbers = np.array([row[1:] for row in rows])
+            numbers = np.array([row[1:] for row in rows]).reshape(-1, 3)
             switched = np.flatnonzero(vision[1:] != vision[:-1]) + 1
             near = np.zeros(len(rows), bool)
             for step in switched:
@@ -103,6 +111,8 @@ def main(cfg: Cfg) -> None:
             after.append(numbers[near])
             others.append(numbers[~near])
         first, after, others = (np.concatenate(part) for part in (first, after, others))
+        if not len(first):
+            raise RenetError(f"no estimator switched on {terrain}: give more --seconds than 5")
         results[terrain] = {
             "switches": len(first),
             "target_jump_rad": {"switch": spread(first[:, 0]), "others": spread(others[:, 0])},

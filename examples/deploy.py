@@ -6,6 +6,7 @@ and what a robot needs among people: limits, watchdogs, an operator, a recording
 With this file, keep a real robot on a hoist.
 """
 
+import sys
 from dataclasses import dataclass
 from typing import Literal
 
@@ -134,4 +135,5 @@ if __name__ == "__main__":
     try:
         print(" → ".join(main(tyro.cli(Cfg, description=__doc__))))
     except RenetError as error:
-        raise SystemExit(f"error: {error}") from error
+        print(error, file=sys.stderr)
+        raise SystemExit(2) from error

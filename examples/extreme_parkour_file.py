@@ -15,6 +15,7 @@ import tyro
 from torch import Tensor, nn
 
 from renet.errors import RenetError, reason
+from renet.files import write_atomically
 
 SIZES = {"image": (58, 87), "observation": (53,), "state": (512,)}  # Inputs of the encoder.
 ACTOR_SIZE, LATENT_SIZE = 753, 32
@@ -106,7 +107,7 @@ def main(
     out: Path = Path("extreme_parkour.pt"),
 ) -> None:
     """Join base_jit.pt and vision_weight.pt to one TorchScript file."""
-    join(base, vision).save(str(out))
+    write_atomically(out, join(base, vision).save_to_buffer(), "policy")
     print(f"Wrote {out}")
 
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import onnxruntime as ort
 
 from renet.cli import COMMANDS, Command, main
 from renet.errors import RenetError
 from renet.evaluation.studies.camera_use import CameraUseStudy
 from renet.interface import PROPRIOCEPTION, proprioception_slices
-from third_party_policy import TheirEvaluator
+from third_party_policy import TheirEvaluator, open_model
 
 SLICES = proprioception_slices()
 
@@ -23,9 +22,8 @@ class PlaygroundPolicy:
     """The model, fed with the simulator's base velocity, which no robot measures."""
 
     def __init__(self, model: Path, num_robots: int, evaluator: TheirEvaluator):
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = 1  # Several would spin between operations.
-        self.model, self.evaluator = ort.InferenceSession(model, options), evaluator
+        self.model = open_model(model)
+        self.evaluator = evaluator
         if self.model.get_inputs()[0].shape != [1, 48]:
             raise RenetError(f"{model} is not Playground's Go1 policy: that takes obs [1, 48]")
         self.action = np.zeros((num_robots, 12), np.float32)

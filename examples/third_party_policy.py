@@ -20,18 +20,23 @@ from renet.terminal import show
 SHAPES = {"observation": (45,), "depth": (48, 64), "action": (12,)}  # Of each robot.
 
 
+def open_model(model: Path) -> ort.InferenceSession:
+    """Open an ONNX model; raises RenetError for a file that is none."""
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1  # Several would spin between operations.
+    options.log_severity_level = 4  # What is wrong with a model, the exception says.
+    try:
+        return ort.InferenceSession(model, options)
+    except Exception as error:  # ONNX Runtime's have no base class of their own.
+        line = str(error).splitlines()[0]
+        raise RenetError(f"{model} is no ONNX model: {line}; export yours as one") from None
+
+
 class TheirPolicy:
     """An ONNX model (observation [N, 45], depth [N, 48, 64]) -> action [N, 12], without memory."""
 
     def __init__(self, model: Path, num_robots: int):
-        options = ort.SessionOptions()
-        options.intra_op_num_threads = 1  # Several would spin between operations.
-        options.log_severity_level = 4  # What is wrong with a model, the exception says.
-        try:
-            self.model = ort.InferenceSession(model, options)
-        except Exception as error:  # ONNX Runtime's have no base class of their own.
-            line = str(error).splitlines()[0]
-            raise RenetError(f"{model} is no ONNX model: {line}; export yours as one") from None
+        self.model = open_model(model)
         demand_shapes(model, [*self.model.get_inputs(), *self.model.get_outputs()], SHAPES)
         self.anomaly_score = np.zeros(num_robots)  # Constant: only the other monitors judge images.
 

@@ -34,6 +34,8 @@ def test_a_result_file_that_cannot_be_written_is_named(tmp_path):
     [
         ("runtime", "--bundle nowhere", "no bundle at nowhere"),
         ("switching", "--terrains moon", "unknown terrain 'moon'"),
+        ("switching", "--seeds 0", "at least 1, got 0"),
+        ("switching", "--seconds 3 --seeds 1 --terrains flat", "no estimator switched on flat"),
         ("soak", "--terrain moon", "unknown terrain 'moon'"),
         ("soak", "--plot soak.png", "give --json, too"),
         ("soak", "--plot soak.png --json soak.json --minutes 0.5", "whole minutes"),

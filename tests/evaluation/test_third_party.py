@@ -102,3 +102,18 @@ def test_playgrounds_policy_alone_sees_the_simulator_in_its_own_order(model, tmp
     another = playground_policy.CameraUse(model=model).make_evaluator()
     with pytest.raises(RenetError, match="is not Playground's Go1 policy"):
         another.make_policy(2)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda file: example.TheirPolicy(file, 1),
+        lambda file: playground_policy.PlaygroundPolicy(file, 1, None),
+    ],
+    ids=["third party", "playground"],
+)
+def test_a_file_that_is_no_model_is_named(make, tmp_path):
+    file = tmp_path / "policy.onnx"
+    file.write_text("no model")
+    with pytest.raises(RenetError, match=r"policy\.onnx is no ONNX model"):
+        make(file)

@@ -1,5 +1,6 @@
 """The recipe's phases."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from renet import training
 from renet.options import TASK
 from renet.tasks.schedule import Schedule, value_at
 from renet.training import checkpoint as checkpoints
+from renet.training.config import steps_per_env
 from renet.training.recipe import PHASES, over_phases
 from renet.training.train import TrainCfg
 
@@ -67,6 +69,18 @@ def test_the_documented_phases_are_the_recipes():
             if cell != "no":
                 value = float(cell.replace(",", "").replace("−", "-"))
                 assert value_at(schedules[name], 1e6 * end) == pytest.approx(value), name
+
+
+def test_the_documented_length_makes_300_million_steps():
+    page = (ROOT / "docs" / "train.md").read_text()
+    said = re.search(r"--max-iterations (\d+)` makes 300 M with (\d+) to (\d+) robots", page)
+    iterations, fewest, most = map(int, said.groups())
+    cfg = TrainCfg.from_task(TASK)
+    for robots in (fewest, most):
+        steps = 0
+        for _ in range(iterations):
+            steps += robots * steps_per_env(None, cfg.agent.batch_size, robots, steps)
+        assert 300e6 <= steps < 315e6
 
 
 def test_standing_and_narrow_gaps_begin_late():
