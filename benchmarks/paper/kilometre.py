@@ -33,7 +33,7 @@ from renet.evaluation.env import SimEnv
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.results import group_by
 from renet.evaluation.rollout import Trial
-from renet.evaluation.settings import Conditions
+from renet.evaluation.settings import Conditions, check_modes
 from renet.evaluation.study import Part, Study, Table
 from renet.evaluation.trace import StepResult, Trace
 from renet.faults import FAULTS, Frames, ViewPerturbation
@@ -276,8 +276,11 @@ class KilometreStudy(Study):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_modes(self.modes)
         if self.laps < 1 or self.robots < 1:
             raise RenetError("laps and robots must be at least 1")
+        if self.film is not None and len(self.modes) < 2:
+            raise RenetError("the film shows two modes side by side: give --modes two or more")
         if self.film is not None and self.film.suffix != ".webp":
             raise RenetError(f"the film is a .webp: give --film {self.film.stem}.webp")
 

@@ -1,10 +1,22 @@
 """The paper's long walk: where sections lie, who fails where, and what is counted."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
-from paper.kilometre import RUN_UP, SECTIONS, SET_DOWN, Lap, LapEnv, SectionFaults, total
+from paper.kilometre import (
+    RUN_UP,
+    SECTIONS,
+    SET_DOWN,
+    KilometreStudy,
+    Lap,
+    LapEnv,
+    SectionFaults,
+    total,
+)
+from renet.errors import RenetError
 from renet.evaluation.trace import StepResult
 from renet.faults import Frames
 
@@ -19,6 +31,20 @@ def test_sections_begin_where_the_last_one_ends():
     assert LAP.starts[-1] == pytest.approx(LAP.course.edges[-1, 1])
     # What goes up comes down.
     assert LAP.course.walking_height(LAP.starts)[-1] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"modes": ()}, "modes none"),
+        ({"modes": ("memory", "memory")}, "once each"),
+        ({"modes": ("memory",), "film": Path("lap.webp")}, "two modes side by side"),
+        ({"film": Path("lap.mp4")}, "give --film lap.webp"),
+    ],
+)
+def test_what_cannot_be_counted_or_filmed_is_refused_before_the_walk(settings, message):
+    with pytest.raises(RenetError, match=message):
+        KilometreStudy(**settings)
 
 
 class Robot:
