@@ -72,7 +72,7 @@ class DeployCfg:
     reconstruction loss alone. camera: every image is used. blind: none is."""
     unseen: Unseen = "walk"
     """In mode memory, at the end of the ground that the robot has seen before its camera failed.
-    walk: go on. slow: go on slowly. stop: stand until it sees again, or is told another way."""
+    walk: go on. slow: go on slowly. stop: stand until it sees again, or is sent another way."""
     dry_run: bool = False
     """Go through all that a run needs, a line with its time for each, then print commands; the
     robot is never moved."""

@@ -63,7 +63,7 @@ _MAX_MEDIA_SIZE = 64_000_000
 
 @dataclass(frozen=True)
 class DemoStudy(WalkingStudy):
-    """Watch robots whose camera is unplugged half a second before a gap."""
+    """Watch robots whose camera is unplugged about half a second before a gap."""
 
     out: Path = Path("renet-demo")
     """Folder for index.html, film.mp4, demo.png, summary.md, .json and .csv, and parts/."""

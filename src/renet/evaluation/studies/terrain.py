@@ -60,7 +60,8 @@ class TerrainStudy(WalkingStudy):
     """Measure the levels of the training curriculum that a policy passes: the paper's table.
 
     `--preset success` gives every robot one try at each obstacle instead, `--preset dawn` at those
-    of DAWN's simulation; `--preset standing` commands robots to stop.
+    of DAWN's simulation. `--preset standing` commands robots to stop, `--preset stops` to walk at
+    walls and over ledges, `--preset backing` to walk backward from an edge.
     """
 
     out: Path = Path("results/terrain")
