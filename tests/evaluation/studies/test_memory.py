@@ -31,7 +31,7 @@ def test_who_trusts_a_black_camera_falls_and_the_others_cross(tmp_path):
         out=tmp_path, grounds=("gap:3",), without=(0.1, 2.0), robots=3, seconds=3.5,
         modes=("camera", "switch", "blind"),
     )  # fmt: skip
-    assert study.onset == 75  # 1.2 m at 0.6 m/s, less half a second.
+    assert study.onset_on("gap") == 75  # 1.2 m at 0.6 m/s, less half a second.
     runs = {
         (r["mode"], r["without_s"]): r for r in study.run(FakeEvaluator(Crossing, Trusting))["runs"]
     }
@@ -52,3 +52,30 @@ def test_times_are_found_again_as_files_round_them(tmp_path):
     summary = study.run(FakeEvaluator(Crossing, Trusting))
     ((_, _, rows),) = study.tables(summary)
     assert rows == [("gap:3", "0", 2), ("gap:3", "0.333333", 0)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "step", "facing"),
+    [
+        ("gap", 75, True),
+        ("stairs_up", 75, True),
+        ("platform", 92, True),  # 1.4 m.
+        ("stairs_down", 100, True),  # 1.5 m.
+        ("obstacles", 75, False),
+    ],
+)
+def test_cameras_die_half_a_second_before_the_edge_of_each_ground(tmp_path, kind, step, facing):
+    """Robots start straight before an edge, which is the same distance for all of them."""
+    seen = {}
+
+    class Observed(FakeEvaluator):
+        def make_env(self, task, robots, speed, seed):
+            seen["yaw"] = task.events["spawn"].params["pose_range"]["yaw"]
+            return super().make_env(task, robots, speed, seed)
+
+    study = MemoryStudy(
+        tmp_path, grounds=(f"{kind}:3",), without=(1.0,), robots=2, modes=("camera",)
+    )
+    assert study.onset_on(kind) == step
+    study.run(Observed(Crossing, Trusting))
+    assert (max(np.abs(seen["yaw"])) < 0.2) == facing

@@ -32,6 +32,20 @@ def test_summary_holds_the_papers_table(run_study):
     assert (folder / "terrain.png").stat().st_size > 10_000
 
 
+def test_stairs_up_and_down_of_one_robot_are_one_observation():
+    """Of robots that are as good up as they are bad down, the mean is known exactly."""
+    up = np.arange(10)
+    study = terrain.TerrainStudy(levels=tuple(range(1, 10)), modes=("camera",), robots=10)
+    parts = {"flat": {"falls": 0}}
+    for kind, highest in {"stairs_up": up, "stairs_down": 9 - up}.items():
+        rows = (np.arange(9)[:, None] < highest).tolist()
+        parts[kind] = {"passed": rows, "steps": 1, "collisions": 0.0, "lin_vel_reward": 0.0}
+    study = replace(study, kinds=("stairs_up", "stairs_down"))
+    table = study._paper_table(parts)
+    assert table["levels"] == {"stairs": 4.5}
+    assert table["levels_ci95"]["stairs"] == (4.5, 4.5)
+
+
 def test_the_table_of_levels_holds_levels_alone_and_falls_have_their_own(run_study):
     _, summary = run_study("terrain")
     tables = TINY["terrain"].tables(summary)

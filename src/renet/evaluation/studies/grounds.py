@@ -23,14 +23,15 @@ _START_YAW = 0.1
 """Largest angle between a robot's start and the yaw that it is to have, rad."""
 
 
-def onset_before_edge(speed: float, lead: float = 0.5) -> float:
-    """Time at which a robot is `lead` seconds before the nearest edge, s; 0 if it starts nearer.
+def onset_before_edge(speed: float, lead: float = 0.5, edge: float = NEAREST) -> float:
+    """Time at which a robot is `lead` seconds before an edge, s; 0 if it starts nearer.
 
     Args:
         speed: commanded speed, m/s.
         lead: time before the edge, s.
+        edge: distance from the start to the edge, m; by default to the nearest of all kinds.
     """
-    return max(NEAREST / speed - lead, 0.0)
+    return max(edge / speed - lead, 0.0)
 
 
 def start_facing(cfg: RenetEnvCfg, yaw: float = 0.0) -> None:

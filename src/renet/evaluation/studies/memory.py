@@ -19,7 +19,13 @@ from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by
 from renet.evaluation.rollout import robot_numbers
 from renet.evaluation.settings import StudyMode
-from renet.evaluation.studies.grounds import LevelStudy, onset_before_edge
+from renet.evaluation.studies.grounds import (
+    EDGES,
+    NEAREST,
+    LevelStudy,
+    onset_before_edge,
+    start_facing,
+)
 from renet.evaluation.studies.terrain import SIZE_LABELS
 from renet.evaluation.study import Figures, Part, Table
 from renet.faults import Injection
@@ -53,7 +59,8 @@ class MemoryStudy(LevelStudy):
     without: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0)
     """Times without an image, s; robots with a healthy camera walk as well."""
     before: float = 0.5
-    """Time before the edge, at the commanded speed, at which images cease, s."""
+    """Time before the edge, at the commanded speed, at which images cease, s; on grounds without an
+    edge straight ahead before the place of the nearest one."""
     modes: tuple[StudyMode, ...] = ("camera", "switch", "oracle", "blind", "memory")
     """Policy modes to compare."""
 
@@ -65,13 +72,17 @@ class MemoryStudy(LevelStudy):
             raise RenetError(f"without {self.without}: give different times above 0 s")
         if self.before < 0:
             raise RenetError(f"before must be at least 0 s, got {self.before}")
-        if self.onset * CONTROL_DT >= self.seconds:
-            raise RenetError(f"at {self.speed} m/s no image is missing within {self.seconds} s")
+        for ground in self.grounds:
+            kind = ground.partition(":")[0]
+            if self.onset_on(kind) * CONTROL_DT >= self.seconds:
+                raise RenetError(
+                    f"at {self.speed} m/s no image is missing within {self.seconds} s on {ground}"
+                )
 
-    @property
-    def onset(self) -> int:
-        """Control step at which images cease."""
-        return control_steps(onset_before_edge(self.speed, self.before))
+    def onset_on(self, kind: str) -> int:
+        """Control step at which images cease on a kind of ground."""
+        edge = EDGES.get(kind, NEAREST)
+        return control_steps(onset_before_edge(self.speed, self.before, edge))
 
     @property
     def settings(self) -> list[tuple[float, str]]:
@@ -85,12 +96,17 @@ class MemoryStudy(LevelStudy):
 
     def walk_on(self, evaluator: Evaluator, kind: str, level: int, title: str) -> Part:
         """Walk in all modes and times on one ground, side by side."""
+        onset = self.onset_on(kind)
         trials = []
         for seconds, mode in self.settings:
-            schedule = (Injection.of(*DEAD_CAMERA, self.onset, seconds),) if seconds else ()
+            schedule = (Injection.of(*DEAD_CAMERA, onset, seconds),) if seconds else ()
             trials += self.trial_group(mode, schedule, kind)
-        env = evaluator.make_env({kind: level}, robot_numbers(trials), self.speed, self.seed)
-        trace = self.walk(evaluator, env, trials, title, until_ended=self.onset, retire=True)
+        cfg = evaluator.terrain_env_cfg({kind: level})
+        # Other grounds are alike in all directions, and are met from all.
+        if kind in EDGES:
+            start_facing(cfg)
+        env = evaluator.make_env(cfg, robot_numbers(trials), self.speed, self.seed)
+        trace = self.walk(evaluator, env, trials, title, until_ended=onset, retire=True)
         crossed, fell, _ = trace.first_try()
         shape = (len(self.settings), self.robots_each)
         return {"crossed": crossed.reshape(shape), "fell": fell.reshape(shape)}

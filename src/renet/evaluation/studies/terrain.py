@@ -269,7 +269,8 @@ class TerrainStudy(WalkingStudy):
         intervals = {}
         for heading, kinds in TABLE.items():
             if all(kind in highest for kind in kinds):
-                values = np.concatenate([highest[kind] for kind in kinds])
+                # A robot is the same one on all kinds of a column.
+                values = np.mean([highest[kind] for kind in kinds], axis=0)
                 levels[heading] = float(values.mean())
                 intervals[heading] = metrics.bootstrap_interval(values)
         # Means over the steps of all first tries.
