@@ -16,7 +16,7 @@ from animated_webp import write_webp
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Trial
 from renet.evaluation.settings import FLAT_GROUND
-from renet.evaluation.video import film
+from renet.evaluation.video import film, pictures
 from renet.interface import control_steps
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "drive.webp"
@@ -44,7 +44,8 @@ def main() -> None:
     titles = dict(enumerate(COMMANDS))
     with tempfile.TemporaryDirectory() as folder:
         shown = range(0, steps, PICTURE_STEPS)
-        path = film(Path(folder) / "film.mp4", env.scene_spec, trace, titles, "", shown)
+        frames = pictures(env.scene_spec, trace, titles, "", shown)
+        path = film(Path(folder) / "film.mp4", frames)
         write_webp(path, OUT, quality=40, width=840)
 
 

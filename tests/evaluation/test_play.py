@@ -12,8 +12,7 @@ from renet.bundle import Bundle, pretrained
 from renet.errors import RenetError
 from renet.evaluation import painter, video
 from renet.evaluation.env import trained_env_cfg
-from renet.evaluation.play import PlayCfg, bundle_folder, opened, run_play
-from renet.evaluation.trace import Trace
+from renet.evaluation.play import PlayCfg, bundle_folder, open_evaluator, run_play
 from renet.robots import GO1
 from renet.tasks import VISUAL_GO1
 from tests.evaluation.policies import joint_model, save_model, write_adapter
@@ -66,7 +65,7 @@ def test_a_second_on_a_tile_makes_a_film_of_a_checkpoint(tmp_path, monkeypatch):
 
 
 def test_robots_of_a_film_are_nominal():
-    with opened(PlayCfg()) as (evaluator, _):
+    with open_evaluator(PlayCfg()) as (evaluator, _):
         events = evaluator.terrain_env_cfg("flat").events
     assert events.keys().isdisjoint({"motor_strength", "push"})
 
@@ -89,11 +88,11 @@ def films(monkeypatch):
     """The trace and the titles of each film, in place of drawing it."""
     drawn = []
 
-    def keep(path, spec, trace, titles, fault):
+    def keep(spec, trace, titles, fault):
         drawn.append((trace, titles))
-        return path
 
-    monkeypatch.setattr(video, "film", keep)
+    monkeypatch.setattr(video, "pictures", keep)
+    monkeypatch.setattr(video, "film", lambda path, frames: path)
     return drawn
 
 
@@ -137,7 +136,7 @@ def test_a_film_whose_encoder_is_ended_says_why_there_is_none(
             super().__init__(*arguments, **options)
             started.append(self)
 
-    def pictures(*_):
+    def frames():
         yield np.zeros((64, 64, 3), np.uint8)
         started[-1].kill()
         started[-1].wait()
@@ -148,9 +147,8 @@ def test_a_film_whose_encoder_is_ended_says_why_there_is_none(
             yield np.zeros((64, 64, 3), np.uint8)
 
     monkeypatch.setattr(subprocess, "Popen", Recorded)
-    monkeypatch.setattr(video, "pictures", pictures)
     with pytest.raises(error, match=words) as ended:
-        video.film(tmp_path / "film.mp4", mujoco.MjSpec(), Trace.empty(1, 1), {}, "")
+        video.film(tmp_path / "film.mp4", frames())
     assert "Error writing" not in str(ended.value)
     assert not list(tmp_path.iterdir())
 

@@ -353,7 +353,8 @@ def _healthy_runs(
         if on_tiles:
             env.place(robots // len(tiles()) % cfg.levels, robots % len(tiles()))
         rollout = evaluator.rollout(env, trials, cfg.seed)
-        rollout.on_update = log = MonitorLog(cfg.robots)
+        log = MonitorLog(cfg.robots)
+        rollout.on_update = log
         trace = rollout.run(steps, terrain)
         for name, runs in healthy_series(log, trace, cfg.speed).items():
             if grass:

@@ -6,6 +6,7 @@ the highest, and the table has mean and standard deviation over them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -174,7 +175,7 @@ def last_step(label: str, runs: Sequence[Run], until: float | None) -> float:
 
 
 def last_values(
-    label: str, runs: Sequence[Run], names: Sequence[str], until: float | None = None
+    label: str, runs: Sequence[Run], names: Sequence[str], until: float | None
 ) -> list[dict[str, Any]]:
     """Mean and spread of each curve over the runs of a label, at the last step they have in common.
 
@@ -231,7 +232,7 @@ def table_row(row: Mapping[str, Any]) -> tuple[str, ...]:
 def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> bytes:
     """PNG with a panel for each curve, and a line and a band for each label."""
     columns = min(len(names), 3)
-    rows = -(-len(names) // columns)
+    rows = math.ceil(len(names) / columns)
     with plt.rc_context(figures.STYLE):
         size = (3.6 * columns + 0.6, 2.6 * rows + 0.8)
         figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False)

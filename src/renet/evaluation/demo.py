@@ -108,7 +108,7 @@ class DemoStudy(WalkingStudy):
 
     def _walk_and_film(self, evaluator: Evaluator) -> Part:
         """Walk, and film twins of which the first mode's falls and the last mode's crosses."""
-        from renet.evaluation.video import film
+        from renet.evaluation.video import film, pictures
 
         unplugged = (Injection.of(*_UNPLUGGED, self.onset, self.seconds),)
         each = self.robots_each
@@ -132,7 +132,7 @@ class DemoStudy(WalkingStudy):
         goal = EDGES[_GROUND] + self.gap + GOAL_MARGIN
         path = self.out / "film.mp4"
         steps = self.pace(trace.robots(np.array([*places])), goal)
-        film(path, env.scene_spec, trace, titles, _UNPLUGGED[0], steps, goal)
+        film(path, pictures(env.scene_spec, trace, titles, _UNPLUGGED[0], steps, goal))
         return {
             "crossed": crossed,
             "fell": fell,

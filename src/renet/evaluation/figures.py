@@ -201,7 +201,7 @@ def share_panels(
         rotation: rotation of the tick labels, degrees.
     """
     columns = min(len(panels), 2)
-    rows = -(-len(panels) // columns)
+    rows = math.ceil(len(panels) / columns)
     size = (FIGURE_WIDTH, 1.75 * rows + 0.9)
     figure, axes = plt.subplots(rows, columns, figsize=size, sharey=True, squeeze=False)
     for axis, (title, runs) in zip(axes.flat, panels.items(), strict=False):

@@ -82,7 +82,7 @@ def make_parts(
         pickled = pickle.dumps(part_maker)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise RenetError(f"--jobs needs a study that other processes can import: {error}") from None
-    waiting = list(groups)
+    queue = list(groups)
     running: list[Job] = []
     count = sum(map(len, groups))
     log = ProgressLog(count)
@@ -106,7 +106,7 @@ def make_parts(
                 # The job is ready for its next parts; an empty list ends it.
                 bars.advance(whole, len(job.parts))
                 log.finish(len(job.parts), job.bar)
-                job.parts = waiting.pop(0) if waiting else ()
+                job.parts = queue.pop(0) if queue else ()
                 # If the process has been killed meanwhile, its next message tells.
                 with suppress(BrokenPipeError, ConnectionResetError):
                     job.connection.send(job.parts)

@@ -1,5 +1,6 @@
 """Scores of the monitors in a rollout, and answers of other selectors to them."""
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -46,9 +47,9 @@ def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]
     for robot in range(trace.anomaly.shape[1]):
         edges = [0, *(np.flatnonzero(trace.ended[:, robot]) + 1).tolist(), len(trace.anomaly)]
         for start, end in pairwise(edges):
-            # Ticks of the episode; -(-a // b) rounds up.
-            first = -(-start // STEPS_PER_TICK)
-            beyond = -(-end // STEPS_PER_TICK)
+            # Ticks that begin within the episode.
+            first = math.ceil(start / STEPS_PER_TICK)
+            beyond = math.ceil(end / STEPS_PER_TICK)
             if beyond <= first or trace.fell[end - 1, robot]:
                 continue
             # The last step's reading may be the next start's.

@@ -101,7 +101,7 @@ def bundle_folder(path: Path | None) -> Iterator[Path | None]:
 
 
 @contextmanager
-def opened(cfg: PlayCfg) -> Iterator[tuple[Evaluator, Mapping[str, str]]]:
+def open_evaluator(cfg: PlayCfg) -> Iterator[tuple[Evaluator, Mapping[str, str]]]:
     """Evaluator of the settings' policy, and the rollout's mode of each robot by its title.
 
     Raises RenetError for a bundle or a policy that cannot be used.
@@ -146,9 +146,9 @@ def run_play(cfg: PlayCfg) -> Path:
     faults = tuple(map(parse_fault, cfg.fault))
     steps = control_steps(cfg.seconds)
     # These imports take seconds; wrong settings fail before them.
-    from renet.evaluation.video import film
+    from renet.evaluation.video import film, pictures
 
-    with opened(cfg) as (evaluator, modes):
+    with open_evaluator(cfg) as (evaluator, modes):
         trials = []
         for title, mode in modes.items():
             trials.append(Trial(mode, () if title == HEALTHY else faults))
@@ -163,7 +163,7 @@ def run_play(cfg: PlayCfg) -> Path:
     with watching(cfg, env, titles) as on_step:
         trace = rollout.run(steps, f"{ground}, {len(rows)} robots", film=rows, on_step=on_step)
     name = ", ".join(fault.fault for fault in faults)
-    return film(cfg.out, env.scene_spec, trace, dict(enumerate(titles)), name)
+    return film(cfg.out, pictures(env.scene_spec, trace, dict(enumerate(titles)), name))
 
 
 def ground_of(cfg: PlayCfg) -> Any:

@@ -249,7 +249,7 @@ def _escape(value: object) -> str:
 
 
 def write_summary(
-    path: Path, title: str, tables: Sequence[Table], figures: Sequence[str], origin: Provenance
+    path: Path, title: str, tables: Sequence[Table], figures: Sequence[str], provenance: Provenance
 ) -> None:
     """Write a study's results as Markdown, atomically.
 
@@ -258,12 +258,12 @@ def write_summary(
         title: heading of the file.
         tables: its tables, in their order.
         figures: names of pictures in the same folder.
-        origin: provenance of the numbers.
+        provenance: provenance of the numbers.
     """
     sections = [f"# {_escape(title)}\n", *map(markdown, tables)]
     if figures:
         pictures = [f"![{name}]({name})\n" for name in figures]
         sections.append("\n".join(pictures))
-    facts = [(name.replace("_", " "), value) for name, value in vars(origin).items()]
+    facts = [(name.replace("_", " "), value) for name, value in vars(provenance).items()]
     sections.append(markdown(("Provenance", ("", ""), facts)))
     write_atomically(path, "\n".join(sections).encode())

@@ -50,32 +50,18 @@ _BLACK_ERROR = 0.25
 """Error of a height map from which on its dots are black, m."""
 
 
-def film(
-    path: Path,
-    spec: mujoco.MjSpec,
-    trace: Trace,
-    titles: Mapping[int, str],
-    fault: str,
-    steps: Sequence[int] = (),
-    goal: float = np.inf,
-) -> Path:
-    """Draw robots side by side and write an mp4 that any browser plays.
-
-    A robot whose first try is over is put back at its start by the simulator: its picture stops,
-    and is dimmed if it fell.
+def film(path: Path, frames: Iterator[np.ndarray]) -> Path:
+    """Write an mp4 that any browser plays, and return its path.
 
     Args:
-        path: path of the mp4; raises RenetError if ffmpeg is missing, or it cannot be written.
-        spec: the scene.
-        trace: a run whose robots are all on its film.
-        titles: titles of the robots to show, by their places in the trace.
-        fault: text for a failing camera.
-        steps: control steps of the pictures; by default the whole run in real time.
-        goal: distance from the start at which a robot has crossed, m.
+        path: Path of the mp4.
+        frames: Pictures, [height, width, 3] uint8 each, which are drawn one by one.
+
+    Raises:
+        RenetError: ffmpeg is missing, or the file cannot be written.
     """
-    shown = pictures(spec, trace, titles, fault, steps, goal)
     try:
-        video = mediapy.compress_video(shown, fps=_FPS, crf=26)
+        video = mediapy.compress_video(frames, fps=_FPS, crf=26)
     # A pipe to an ffmpeg that has ended is broken.
     except (RuntimeError, BrokenPipeError) as error:
         if isinstance(error.__context__, KeyboardInterrupt):
@@ -100,14 +86,27 @@ def pictures(
     steps: Sequence[int] = (),
     goal: float = np.inf,
 ) -> Iterator[np.ndarray]:
-    """Pictures of a film, [height, width, 3] uint8 each, with progress shown; see `film`."""
+    """Draw robots side by side, with progress shown; yields pictures [height, width, 3] uint8.
+
+    A robot whose first try is over is put back at its start by the simulator: its picture stops,
+    and is dimmed if it fell.
+
+    Args:
+        spec: The scene.
+        trace: A run whose robots are all on its film.
+        titles: Titles of the robots to show, by their places in the trace.
+        fault: Text for a failing camera.
+        steps: Control steps of the pictures; by default the whole run in real time.
+        goal: Distance from the start at which a robot has crossed, m.
+    """
     assert trace.film is not None
     poses = trace.film.poses
     robots = list(titles)
     painter = Painter(spec, poses[0, robots])
     # Last step of each robot's first try.
     last = np.maximum((~trace.over).sum(axis=0) - 1, 0)
-    for step in progress(steps or range(0, len(poses), round(1 / (_FPS * CONTROL_DT))), "video"):
+    steps = steps or range(0, len(poses), round(1 / (_FPS * CONTROL_DT)))
+    for step in progress(steps, "video"):
         shown = {robot: min(step, last[robot]) for robot in robots}
         views = painter.draw(np.stack([poses[at, robot] for robot, at in shown.items()]))
         panels = []

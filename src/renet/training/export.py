@@ -48,7 +48,7 @@ from renet.tasks.entity import ACTION_CLIP
 from renet.tasks.mdp.commands import COMMAND
 from renet.training import checkpoint as checkpoints
 from renet.training.config import WithholdingCfg, from_dict
-from renet.training.provenance import to_json
+from renet.training.provenance import by_name, to_json
 
 OPSET = 17
 """Version of ONNX's operators: old enough for the ONNX Runtime of a robot's computer, new enough
@@ -144,8 +144,7 @@ def _described(env: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def _leaves(value: Any, name: str) -> Iterator[tuple[str, Any]]:
     """Yield names, with dots between levels, and values of the settings `DESCRIBED`."""
-    if isinstance(value, list) and all(isinstance(item, dict) for item in value):
-        value = {str(place): item for place, item in enumerate(value)}
+    value = by_name(value)
     if not isinstance(value, dict):
         return
     for key, item in value.items():
@@ -218,7 +217,7 @@ def camera_spec(robot: Robot = GO1, noise_std: float = DepthNoiseCfg.gaussian_st
 def _provenance(state: dict[str, Any], cfg: ModelCfg) -> ProvenanceSpec:
     """Describe the run of a checkpoint, given its state and the model's configuration."""
     fields = {
-        "task": state["task"] or "",
+        "task": state["task"],
         "iteration": state["iteration"],
         "steps": state["steps"],
         "seconds": round(state["seconds"], 1),

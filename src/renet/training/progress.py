@@ -28,7 +28,7 @@ class Report:
     """Report on a run after each iteration; a context manager that draws the bar."""
 
     def __init__(
-        self, console: Console, runner: RenetRunner, iterations: int, deadline: float = math.inf
+        self, console: Console, runner: RenetRunner, iterations: int, deadline: float
     ) -> None:
         """Initialize the report.
 

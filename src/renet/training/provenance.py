@@ -66,8 +66,8 @@ def differences(old: Any, new: Any, name: str) -> Iterator[str]:
     Yields:
         A line for each difference.
     """
-    old = _by_name(old)
-    new = _by_name(new)
+    old = by_name(old)
+    new = by_name(new)
     if isinstance(old, dict) and isinstance(new, dict):
         for key in sorted(old.keys() | new.keys()):
             yield from differences(old.get(key, "absent"), new.get(key, "absent"), f"{name}.{key}")
@@ -75,7 +75,7 @@ def differences(old: Any, new: Any, name: str) -> Iterator[str]:
         yield f"{name} was {shorten(str(old), 80)}, now {shorten(str(new), 80)}"
 
 
-def _by_name(value: Any) -> Any:
+def by_name(value: Any) -> Any:
     """Convert a list of objects, such as a scene's sensors, to a dictionary.
 
     Keys are the objects' names, or their positions where they have none. Other values are returned
@@ -258,7 +258,7 @@ def is_allowed(stored: Any, name: str) -> bool:
     if not is_addition and not is_listed:
         return False
     low, high = next(bounds for pattern, bounds in BOUNDS.items() if fnmatchcase(name, pattern))
-    for number in numbers(stored):
+    for number in _numbers(stored):
         if not low <= number <= high:
             raise RenetError(
                 f"the checkpoint's setting {name} is {number:g}, which must be from {low:g} to "
@@ -267,10 +267,10 @@ def is_allowed(stored: Any, name: str) -> bool:
     return True
 
 
-def numbers(value: Any) -> Iterator[float]:
+def _numbers(value: Any) -> Iterator[float]:
     """Yield all numbers of a JSON value, at all levels."""
     if isinstance(value, list | tuple):
         for item in value:
-            yield from numbers(item)
+            yield from _numbers(item)
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield value

@@ -28,6 +28,7 @@ from renet.training.provenance import to_json
 from renet.version import code_version
 
 CHECKPOINTS = "checkpoints"
+"""Name of the folder of checkpoints in a run's folder."""
 
 
 class RenetRunner(OnPolicyRunner):
@@ -39,6 +40,7 @@ class RenetRunner(OnPolicyRunner):
 
     alg: RenetAlgorithm  # type: ignore[assignment]
     algorithm = "renet.training.algorithm:RenetAlgorithm"
+    """Module and class of the algorithm, which a subclass may replace."""
 
     def __init__(
         self,
@@ -67,8 +69,14 @@ class RenetRunner(OnPolicyRunner):
         # rsl_rl needs these keys, and removes the class name from the dictionary.
         train_cfg["algorithm"] |= {"class_name": self.algorithm, "rnd_cfg": None}
         super().__init__(env, train_cfg, log_dir, device)
+        # rsl_rl would write the uncommitted changes of the working tree to the run's folder.
         self.logger.git_status_repos = []
         self.folder = Path(log_dir) / CHECKPOINTS if log_dir else None
+
+    @property
+    def _mjlab_env(self) -> Any:
+        """mjlab's environment inside rsl_rl's wrapper."""
+        return cast(Any, self.env).unwrapped
 
     def _configure_multi_gpu(self) -> None:
         """Join the process group: NCCL between GPUs, gloo on the CPU (and in tests)."""
@@ -164,7 +172,7 @@ class RenetRunner(OnPolicyRunner):
             # A sum below zero counts as zero, so that ending an episode early never pays
             # (Extreme Parkour).
             rewards = rewards.clamp_min(0.0)
-            costs = mdp.constraint_costs(cast(Any, self.env).unwrapped)
+            costs = mdp.constraint_costs(self._mjlab_env)
             self.alg.process_env_step(obs, rewards, dones, extras | {"costs": costs})
             self.logger.process_env_step(rewards, dones, extras, None)
 
@@ -190,7 +198,7 @@ class RenetRunner(OnPolicyRunner):
         )
         return obs
 
-    def _check_learning(self, losses: dict[str, float], obs: Any) -> None:
+    def _check_learning(self, losses: dict[str, float], obs: TensorDict) -> None:
         """Raise RenetError if a loss is NaN or infinite, before the policy is saved.
 
         NaN or infinity in a rollout shows in the losses, so that steps need no check of their own.
@@ -232,7 +240,7 @@ class RenetRunner(OnPolicyRunner):
             "seconds": self.logger.tot_time,
             **self.provenance(),
         }
-        environment = mdp.curriculum_state(cast(Any, self.env).unwrapped)
+        environment = mdp.curriculum_state(self._mjlab_env)
         environment["torch_rng"] = torch.get_rng_state()
         if self.device.startswith("cuda"):
             environment["cuda_rng"] = torch.cuda.get_rng_state(self.device)
@@ -248,7 +256,7 @@ class RenetRunner(OnPolicyRunner):
 
     def provenance(self) -> dict[str, Any]:
         """Return all that shaped the policy: task, both configurations, version of the code."""
-        env = cast(Any, self.env).unwrapped
+        env = self._mjlab_env
         settings = {"agent": self._agent, "env": getattr(env, "task_cfg", env.cfg)}
         return {"task": self._agent["task"], **to_json(settings), "code": code_version()}
 
@@ -300,5 +308,5 @@ class RenetRunner(OnPolicyRunner):
     def restore_curriculum(self, state: dict[str, torch.Tensor]) -> None:
         """Put the robots on the levels of a checkpoint's environment, unless it is empty."""
         if state:
-            mdp.load_curriculum_state(cast(Any, self.env).unwrapped, state, self.alg.steps)
+            mdp.load_curriculum_state(self._mjlab_env, state, self.alg.steps)
             cast(Any, self.env).reset()

@@ -36,7 +36,7 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
     return run if newest == [checkpoint] else None
 
 
-def new_run(root: Path | None, experiment: str, name: str = "") -> Path:
+def new_run(root: Path | None, experiment: str, name: str) -> Path:
     """Create the folder `root/experiment/date_time_name` of a new run.
 
     Args:

@@ -128,8 +128,8 @@ class Supervision:
         order = torch.randperm(len(op), device=op.device)
         indices = order.chunk(self.cfg.num_mini_batches)
 
-        # Count what each learner finds in each mini-batch: [mini-batches, learners].
-        # In the order of LEARNERS.
+        # Count what each learner finds in each mini-batch, [mini-batches, learners], with the
+        # learners in the order of LEARNERS.
         per_environment = torch.stack((op, vp, images)).double()
         local = torch.stack([per_environment[:, index].sum(dim=-1) for index in indices])
         mean = distributed.mean(local)

@@ -148,9 +148,9 @@ class TrainCfg(TrainOptions):
             task: Id of the task, by default the checkpoint's. Of another task's checkpoint, only
                 the agent and the number of robots are restored.
         """
-        cfg = cls.from_task(task or str(state.get("task", "")))
+        cfg = cls.from_task(task or state["task"])
         stored = state["env"]
-        if cfg.task != state.get("task"):
+        if cfg.task != state["task"]:
             stored = {"scene": {"num_envs": stored.get("scene", {}).get("num_envs")}}
         agent = restore(cfg.agent, state["agent"], "agent")
         agent = replace(agent, task=cfg.task, experiment_name=cfg.agent.experiment_name)
@@ -355,7 +355,7 @@ def checkpoint_of(cfg: TrainCfg) -> tuple[Path | None, dict[str, Any]]:
     # By the same task as the settings in `TrainCfg.defaults`.
     path = checkpoints.find(resumed_folder(cfg.resume, cfg.log_root, cfg.task))
     state = checkpoints.load_state(path)
-    if state.get("iteration", 0) >= cfg.agent.max_iterations:
+    if state["iteration"] >= cfg.agent.max_iterations:
         raise RenetError(
             f"{path} is at iteration {state['iteration']}: --max-iterations counts from "
             "the very first one and must be above that"

@@ -81,7 +81,7 @@ def _adapter_of_file(path: Path) -> type[Adapter]:
 
 
 @contextmanager
-def _told(model: Model, kind: type[Adapter]) -> Iterator[None]:
+def _adapter_errors(model: Model, kind: type[Adapter]) -> Iterator[None]:
     """Turn an error in an adapter's own code into a RenetError that says where and with what."""
     try:
         yield
@@ -113,7 +113,7 @@ def _place(error: Exception, kind: type[Adapter]) -> str:
 def _act(adapter: Adapter, senses: Senses) -> np.ndarray:
     """Joint targets of an adapter, [N, 12] rad; raises RenetError unless they can be used."""
     kind = type(adapter)
-    with _told(adapter.model, kind):
+    with _adapter_errors(adapter.model, kind):
         target = np.asarray(adapter.act(senses), np.float32)
     expected = (adapter.num_robots, ACTION_SIZE)
     if target.shape == expected and np.isfinite(target).all():
@@ -145,7 +145,7 @@ class AdaptedPolicy:
         """Clear the state of the masked robots, [N] bool; of all by default."""
         if mask is None:
             mask = np.ones(self._adapter.num_robots, bool)
-        with _told(self._adapter.model, type(self._adapter)):
+        with _adapter_errors(self._adapter.model, type(self._adapter)):
             self._adapter.reset(mask)
 
     def step(
@@ -244,14 +244,14 @@ class AdaptedEvaluator(Evaluator):
             feet_contact=np.ones((1, 4), bool),
         )
         adapter = self._make_adapter(1)
-        with _told(adapter.model, self.adapter):
+        with _adapter_errors(adapter.model, self.adapter):
             adapter.reset(np.ones(1, bool))
         _act(adapter, senses)
 
     def _make_adapter(self, num_robots: int) -> Adapter:
         """Open the model for N robots; raises RenetError if it or the adapter cannot be used."""
         model = open_model(self._path)
-        with _told(model, self.adapter):
+        with _adapter_errors(model, self.adapter):
             return self.adapter(model, num_robots)
 
     @cached_property

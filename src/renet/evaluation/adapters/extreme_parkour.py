@@ -106,11 +106,12 @@ class Adapter(base.OffsetAdapter):
             inputs = image, observation[due], self._state[due]
             latent, self._state[due] = self.model.run(*inputs, method="encode")[:2]
             self._latent[due] = latent[:, :_LATENT]
-        told = observation.copy()
-        told[:, _HEADINGS] = senses.command[:, 2:] / TURN_GAIN
+        # Only the actor reads the headings.
+        own = observation.copy()
+        own[:, _HEADINGS] = senses.command[:, 2:] / TURN_GAIN
         unread = np.zeros((self.num_robots, _UNREAD), np.float32)
         history = self._history.reshape(self.num_robots, -1)
-        inputs = np.concatenate((told, unread, history), axis=1)
+        inputs = np.concatenate((own, unread, history), axis=1)
         self._action = self.model.run(inputs, self._latent)[0]
         self._remember(observation)
         largest = _LARGEST_ACTION / self.action_scale

@@ -98,8 +98,8 @@ def draw_fault(rng: np.random.Generator, families: Families) -> tuple[str, str]:
     return family, str(rng.choice(families[family]))
 
 
-def fault_of(name: str, sealed: SealedFaults | None = None) -> type[Fault]:
-    """Class of a fault, by its name."""
+def fault_of(name: str, sealed: SealedFaults | None) -> type[Fault]:
+    """Return the class of a fault, by its name; sealed faults need their file."""
     if sealed is not None and name in sealed.classes:
         return sealed.classes[name]
     return FAULTS[name]

@@ -8,7 +8,7 @@ stays the same.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product, takewhile
@@ -73,7 +73,9 @@ def change(cfg: RenetEnvCfg, axis: str, level: float) -> None:
     match axis:
         case "action_delay":
             for actuator in cfg.scene.entities["robot"].articulation.actuators:
-                actuator.delay_min_lag = actuator.delay_max_lag = round(level / 1e3 / PHYSICS_DT)
+                lag = round(level / 1e3 / PHYSICS_DT)
+                actuator.delay_min_lag = lag
+                actuator.delay_max_lag = lag
         case "camera_delay":
             camera.delay = (level / 1e3, level / 1e3)
         case "friction":
@@ -156,23 +158,19 @@ class MarginsStudy(WalkingStudy):
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """One part for the nominal robots, and one for the sweep of each axis."""
-        parts: dict[str, Callable[[], Part]] = {"nominal": partial(self._walk_nominal, evaluator)}
+        parts = {"nominal": partial(self._sweep, evaluator, "nominal", (None,))}
         for axis in self.axes:
-            parts[axis] = partial(self._sweep, evaluator, axis)
+            parts[axis] = partial(self._sweep, evaluator, axis, self.levels(axis))
         return parts
 
-    def _walk_nominal(self, evaluator: Evaluator) -> Part:
-        """Walk with the robots as they are simulated."""
-        return {"runs": self._walk_level(evaluator, "nominal", None)}
-
-    def _sweep(self, evaluator: Evaluator, axis: str) -> Part:
+    def _sweep(self, evaluator: Evaluator, axis: str, levels: Sequence[float | None]) -> Part:
         """Walk level after level until all groups of robots are beyond the margin."""
         runs = []
-        for level in self.levels(axis):
-            walked = self._walk_level(evaluator, axis, level)
-            runs += walked
+        for level in levels:
+            rows = self._walk_level(evaluator, axis, level)
+            runs += rows
             # Higher levels are worse.
-            if min(column(walked, "failed")) > ALLOWED_LOSS:
+            if min(column(rows, "failed")) > ALLOWED_LOSS:
                 break
         return {"runs": runs}
 

@@ -18,7 +18,8 @@ from renet.evaluation import figures
 from renet.evaluation.results import as_text
 from renet.evaluation.rollout import Trial
 from renet.evaluation.settings import FLAT_GROUND, StudyMode
-from renet.evaluation.studies.faults import FaultStudy, Setting
+from renet.evaluation.studies.fault_settings import Setting
+from renet.evaluation.studies.faults import FaultStudy
 from renet.evaluation.study import Figures, Part, Table
 from renet.evaluation.trace import Trace
 from renet.faults import fault_class
