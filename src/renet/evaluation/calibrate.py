@@ -113,7 +113,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     """Measure β and the monitors' thresholds, write them to the manifest and return β.
 
     Raises:
-        RenetError: a bundle or a log cannot be used, or the policy never succeeds.
+        RenetError: A bundle or a log cannot be used, or the policy never succeeds.
     """
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
@@ -193,10 +193,10 @@ def _calibrate_monitors(
     """Compute the monitors' thresholds.
 
     Args:
-        cfg: settings.
-        bundle: the bundle whose monitors they are.
-        series: healthy scores by monitor.
-        grassy: healthy scores in sparse grass by monitor.
+        cfg: Settings.
+        bundle: The bundle whose monitors they are.
+        series: Healthy scores by monitor.
+        grassy: Healthy scores in sparse grass by monitor.
     """
     # Healthy runs do not tell how long memory is good, and the variance may replace a monitor.
     without = {MEMORY}
@@ -218,11 +218,11 @@ def _store(
     """Compute β, write it and the thresholds to the manifest, print them and return β.
 
     Args:
-        cfg: settings.
-        bundle: the bundle to write to.
-        series: healthy scores by monitor.
-        calibration: the monitors' thresholds, and what they rest on.
-        memory: limits of memory.
+        cfg: Settings.
+        bundle: The bundle to write to.
+        series: Healthy scores by monitor.
+        calibration: The monitors' thresholds, and what they rest on.
+        memory: Limits of memory.
     """
     limits, longest = memory
     scores = np.concatenate(series["reconstruction"])
@@ -286,7 +286,7 @@ def _accept_grass(thresholds: dict[str, float], grassy: Series) -> None:
 
 
 def _description(cfg: CalibrateCfg, count: int) -> str:
-    """Text in the manifest on the origin of β, from `count` scores."""
+    """Describe the origin of β, from `count` scores, for the manifest."""
     if cfg.images:
         source = "images"
     elif cfg.log:
@@ -298,7 +298,7 @@ def _description(cfg: CalibrateCfg, count: int) -> str:
 
 
 def _simulated_scores(cfg: CalibrateCfg) -> tuple[Evaluator, Series, Series]:
-    """Evaluator, and scores in successful episodes without and with grass."""
+    """Simulate healthy robots; returns their evaluator, and scores without and with grass."""
     from renet.evaluation.evaluator import Evaluator
     from renet.terrain.tiles import LEVELS
 
@@ -325,13 +325,13 @@ def _healthy_runs(
     grass: bool,
     mode: Literal["camera", "memory"] = "camera",
 ) -> Series:
-    """Scores of every monitor in the successful episodes on all terrains, by name.
+    """Collect every monitor's scores in the successful episodes on all terrains, by name.
 
     Args:
-        cfg: settings.
-        evaluator: evaluator of the bundle, in the conditions of the walks.
+        cfg: Settings.
+        evaluator: Evaluator of the bundle, in the conditions of the walks.
         grass: True for robots that walk through sparse grass.
-        mode: mode of the robots.
+        mode: Mode of the robots.
     """
     from renet.evaluation.evaluator import Task
     from renet.tasks.parkour_env_cfg import parkour_env_cfg

@@ -42,11 +42,11 @@ def memory_limits(
     measured.
 
     Args:
-        evaluator: evaluator of the bundle.
-        robots: number of robots.
-        levels: highest level, 1 to 10.
-        speed: commanded speed, m/s.
-        seed: seed of the robots and of the times at which cameras die.
+        evaluator: Evaluator of the bundle.
+        robots: Number of robots.
+        levels: Highest level, 1 to 10.
+        speed: Commanded speed, m/s.
+        seed: Seed of the robots and of the times at which cameras die.
     """
     # Only the runtime is needed to calibrate from recordings.
     from renet.tasks.parkour_env_cfg import parkour_env_cfg
@@ -81,12 +81,12 @@ def memory_limits(
 
 
 def limits_of_trace(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memory:
-    """Limits of memory from a run.
+    """Compute the limits of memory from a run.
 
     Args:
-        trace: trace of N robots in mode memory, then of their N twins in mode blind.
-        dies: control step at which each camera dies, [N].
-        ground: number of each robot's ground, [N].
+        trace: Trace of N robots in mode memory, then of their N twins in mode blind.
+        dies: Control step at which each camera dies, [N].
+        ground: Number of each robot's ground, [N].
     """
     count = len(dies)
     steps = np.arange(len(trace.over))[:, None]

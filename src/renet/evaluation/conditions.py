@@ -32,8 +32,8 @@ def use_training_conditions(cfg: RenetEnvCfg, trained: RenetEnvCfg) -> None:
     Starts, the noise of images and whatever else a study varies are not changed.
 
     Args:
-        cfg: the study's task, made with `play=True`.
-        trained: the task in its training variant; raises RenetError if it delays joint targets,
+        cfg: The study's task, made with `play=True`.
+        trained: The task in its training variant; raises RenetError if it delays joint targets,
             for twins cannot have the same delays.
     """
     if trained.motors.target_delay[1] > 0.0:
@@ -91,7 +91,7 @@ class Disturbances:
         self._until_push = self._draw_intervals()
 
     def draw_noise(self) -> Tensor | None:
-        """Noise of the scaled proprioception, [R, 45]; None if there is none."""
+        """Draw noise of the scaled proprioception, [R, 45]; None if there is none."""
         if self.noise is None:
             return None
         low = torch.tensor(self.noise.n_min)
@@ -100,7 +100,7 @@ class Disturbances:
         return (low + share * (high - low)) * self.scale
 
     def draw_pushes(self) -> tuple[Tensor, Tensor]:
-        """Mask of robots pushed in the next control step, [R], and changes of velocity, [R, 6]."""
+        """Draw the robots to push in the next step, [R] bool, and changes of velocity, [R, 6]."""
         self._until_push = self._until_push - CONTROL_DT
         # Less than a rounding error is left of the time.
         pushed = self._until_push < 1e-6
@@ -113,7 +113,7 @@ class Disturbances:
         return pushed, change
 
     def _draw_intervals(self) -> Tensor:
-        """Time until the next push, [R] s."""
+        """Draw the time until the next push, [R] s."""
         if self.push is None or self.push.interval_range_s is None:
             return torch.full((self._robots,), math.inf)
         low, high = self.push.interval_range_s

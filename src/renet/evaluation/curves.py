@@ -94,7 +94,7 @@ def read_run(argument: str, smooth: int) -> Run:
     """Read a run, RUN or RUN=LABEL, with a moving mean over `smooth` iterations.
 
     Raises:
-        RenetError: the run has no curves, or too few iterations for one point.
+        RenetError: The run has no curves, or too few iterations for one point.
     """
     path, _, label = argument.partition("=")
     folder = Path(path)
@@ -117,7 +117,7 @@ def read_run(argument: str, smooth: int) -> Run:
 
 
 def _name_of(path: Path) -> str:
-    """Name of a run: that of its folder, or of a file of curves that lies elsewhere."""
+    """Return a run's name: that of its folder, or of a file of curves that lies elsewhere."""
     if path.name == CURVES:
         return path.parent.name
     # What follows a dot in a folder's name is no suffix.
@@ -125,7 +125,7 @@ def _name_of(path: Path) -> str:
 
 
 def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
-    """Means of `count` values in a row, [I - count + 1] of [I], without NaNs."""
+    """Average `count` values in a row, [I - count + 1] of [I], without NaNs."""
     # [I - count + 1, count]
     windows = np.lib.stride_tricks.sliding_window_view(values, count)
     known = ~np.isnan(windows)
@@ -135,7 +135,7 @@ def moving_mean(values: np.ndarray, count: int) -> np.ndarray:
 
 
 def choose_curves(runs: Sequence[Run], beginnings: Sequence[str]) -> list[str]:
-    """Names of the runs' curves that begin with one of `beginnings`.
+    """List the runs' curves whose names begin with one of `beginnings`.
 
     Raises RenetError for a beginning of none; for one of `DEFAULT_CURVES` only if all are missing.
     """
@@ -153,7 +153,7 @@ def choose_curves(runs: Sequence[Run], beginnings: Sequence[str]) -> list[str]:
 
 
 def last_step(label: str, runs: Sequence[Run], until: float | None) -> float:
-    """Last environment step that all runs of a label have in common, at most `until`.
+    """Return the last environment step that all runs of a label have in common, at most `until`.
 
     Raises RenetError if there is none: runs are compared neither before they begin nor after they
     end.
@@ -177,7 +177,7 @@ def last_step(label: str, runs: Sequence[Run], until: float | None) -> float:
 def last_values(
     label: str, runs: Sequence[Run], names: Sequence[str], until: float | None
 ) -> list[dict[str, Any]]:
-    """Mean and spread of each curve over the runs of a label, at the last step they have in common.
+    """Return mean and spread of each curve over a label's runs, at their last common step.
 
     The standard deviation is a sample's (n - 1); it is None for a single run.
     """
@@ -206,14 +206,14 @@ def last_values(
 
 
 def _known(run: Run, name: str) -> np.ndarray:
-    """[I] bool, the iterations at which a run has a value of a curve; none if it is missing."""
+    """Return a mask of the iterations at which a run has a value of a curve, [I] bool."""
     if name not in run.values:
         return np.zeros(len(run.steps), bool)
     return ~np.isnan(run.values[name])
 
 
 def _value_at(run: Run, name: str, steps: float) -> float:
-    """Value of a curve at a number of environment steps, by interpolation; NaN if it is missing."""
+    """Interpolate a curve at a number of environment steps; NaN if it is missing."""
     known = _known(run, name)
     if not known.any():
         return float("nan")
@@ -221,7 +221,7 @@ def _value_at(run: Run, name: str, steps: float) -> float:
 
 
 def table_row(row: Mapping[str, Any]) -> tuple[str, ...]:
-    """Row of the printed table, with the last part of the curve's name."""
+    """Format a row of the printed table, with the last part of the curve's name."""
     curve = row["curve"].split("/")[-1].replace("_", " ")
     steps = f"{row['steps'] / 1e6:.2f}"
     spread = "-" if row["sd"] is None else f"{row['sd']:.3g}"
@@ -230,7 +230,7 @@ def table_row(row: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def picture(by_label: Mapping[str, Sequence[Run]], names: Sequence[str]) -> bytes:
-    """PNG with a panel for each curve, and a line and a band for each label."""
+    """Draw a PNG with a panel for each curve, and a line and a band for each label."""
     columns = min(len(names), 3)
     rows = math.ceil(len(names) / columns)
     with plt.rc_context(figures.STYLE):

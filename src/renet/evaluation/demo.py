@@ -103,7 +103,7 @@ class DemoStudy(WalkingStudy):
             remove(part)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One part: all modes side by side."""
+        """Return one part: all modes side by side."""
         return {_GROUND: partial(self._walk_and_film, evaluator)}
 
     def _walk_and_film(self, evaluator: Evaluator) -> Part:
@@ -141,11 +141,11 @@ class DemoStudy(WalkingStudy):
         }
 
     def pace(self, trace: Trace, goal: float) -> list[int]:
-        """Control steps of the film's pictures, at half speed just after the fault's onset.
+        """Choose the control steps of the film's pictures, at half speed after the fault's onset.
 
         Args:
-            trace: the run of the robots that the film shows.
-            goal: distance from the start at which a robot has crossed, m.
+            trace: The run of the robots that the film shows.
+            goal: Distance from the start at which a robot has crossed, m.
         """
         before = control_steps(FILM_SPAN[0])
         after = control_steps(FILM_SPAN[1])
@@ -163,7 +163,7 @@ class DemoStudy(WalkingStudy):
         ]
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """A row for each mode."""
+        """Return a row for each mode."""
         part = parts[_GROUND]
         ends = zip(self.modes, np.array(part["crossed"]), np.array(part["fell"]), strict=True)
         runs = []
@@ -185,14 +185,14 @@ class DemoStudy(WalkingStudy):
         }
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure demo.png: number of robots that cross, a bar for each mode."""
+        """Draw demo.png: number of robots that cross, a bar for each mode."""
         runs = summary["runs"]
         counts = dict(zip(column(runs, "mode"), column(runs, "crossed"), strict=True))
         title = f"Unplugged {_LEAD} s before a gap of {100 * self.gap:.0f} cm: who crosses"
         return {"demo.png": figures.count_bars(counts, self.robots_each, title)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Robots that crossed and robots that fell, a row for each mode."""
+        """Tabulate the robots that crossed and that fell, a row for each mode."""
         rows = []
         for run in summary["runs"]:
             rows.append((run["mode"], run["crossed"], run["fell"], CONSEQUENCES[run["mode"]]))
@@ -213,7 +213,7 @@ def run_demo(study: DemoStudy, evaluator: Evaluator | None = None) -> str:
 
 
 def headline(summary: Mapping[str, Any]) -> str:
-    """Sentence with the number of robots that cross in each mode."""
+    """Say in a sentence how many robots cross in each mode."""
     robots = summary["runs"][0]["robots"]
     counts = ", ".join(f"{run['crossed']} in mode {run['mode']}" for run in summary["runs"])
     return (
@@ -223,11 +223,11 @@ def headline(summary: Mapping[str, Any]) -> str:
 
 
 def demo_page(summary: Mapping[str, Any], folder: Path) -> str:
-    """HTML page of the demo, with film and figure inline.
+    """Write the demo's HTML page, with film and figure inline.
 
     Args:
-        summary: summary of the study.
-        folder: folder of its film.mp4 and demo.png.
+        summary: Summary of the study.
+        folder: Folder of its film.mp4 and demo.png.
     """
     note = ""
     if not summary["remembers"] and "memory" in summary["settings"]["modes"]:
@@ -255,7 +255,7 @@ def demo_page(summary: Mapping[str, Any], folder: Path) -> str:
 
 
 def _page_row(run: Mapping[str, Any]) -> str:
-    """Row of the page's table, as HTML."""
+    """Format a row of the page's table as HTML."""
     low = 100 * run["crossed_ci95_low"]
     high = 100 * run["crossed_ci95_high"]
     cells = (
@@ -269,6 +269,6 @@ def _page_row(run: Mapping[str, Any]) -> str:
 
 
 def _data_uri(path: Path, media: str) -> str:
-    """File as a data URI of a media type."""
+    """Encode a file as a data URI of a media type."""
     content = read_bytes(path, _MAX_MEDIA_SIZE, "picture or film")
     return f"data:{media};base64,{base64.b64encode(content).decode()}"

@@ -56,7 +56,7 @@ _SENSED = ("proprioception", "depth")
 
 
 def trained_env_cfg(manifest: Manifest) -> RenetEnvCfg:
-    """Task that a bundle was trained on; raises RenetError if it is not registered here."""
+    """Return the task a bundle was trained on; raises RenetError if it is not registered here."""
     task = manifest.provenance.task
     try:
         return env_cfg(task or "Renet-Go1-Parkour")
@@ -70,13 +70,13 @@ def trained_env_cfg(manifest: Manifest) -> RenetEnvCfg:
 def terrain_env_cfg(
     terrain: str | Mapping[str, int] | TerrainEntityCfg, robot: Robot
 ) -> RenetEnvCfg:
-    """Task for measurements on a terrain; its random tiles differ from the training tiles.
+    """Make a task for measurements on a terrain; its random tiles differ from the training tiles.
 
     Args:
         terrain: "flat"; "parkour", all tiles at all levels; grounds side by side for
             `SimEnv.place_on`, as the level, 1 to 10, of each kind of tile or "flat"; or any field
             of tiles. Raises RenetError for an unknown kind or level.
-        robot: the robot.
+        robot: The robot.
     """
     if terrain == FLAT_GROUND:
         return flat_env_cfg(play=True, robot=robot)
@@ -98,10 +98,10 @@ def study_env_cfg(
     """Configure a task for measurements: straight ahead, without time limit, rewards and metrics.
 
     Args:
-        task: configuration, which is changed in place, or id of a task.
-        speed: commanded speed, m/s.
-        privileged: groups of observations to compute in addition to a real robot's.
-        told: form of the command that the policy was trained with, heading or twist.
+        task: Configuration, which is changed in place, or id of a task.
+        speed: Commanded speed, m/s.
+        privileged: Groups of observations to compute in addition to a real robot's.
+        told: Form of the command that the policy was trained with, heading or twist.
     """
     cfg = env_cfg(task, play=True) if isinstance(task, str) else task
     command = cfg.commands[COMMAND]
@@ -235,7 +235,7 @@ class SimEnv:
         return env.observation_manager.compute(update_history=True)
 
     def _draw_noise(self, depth: Tensor) -> Tensor:
-        """Standard normal numbers for images [N, H, W], the same for twins."""
+        """Draw standard normal numbers for images [N, H, W], the same for twins."""
         noise = torch.randn((len(self._first), *depth.shape[1:]), generator=self._noise)
         return noise[self._number]
 
@@ -251,7 +251,7 @@ class SimEnv:
         return self._readings(observation, fell, ended)
 
     def feet_contact(self) -> np.ndarray:
-        """Feet that touch the ground, [N, 4] bool, in the order of `interface.LEGS`."""
+        """Return the feet that touch the ground, [N, 4] bool, in the order of `interface.LEGS`."""
         # The sensor has them in the model's order, which is another one in a Go2.
         names = self.env.scene[FEET_CONTACT].primary_names
         order = [names.index(foot) for foot in FEET]
@@ -277,8 +277,8 @@ class SimEnv:
         """Put robots on tiles, from the next reset on.
 
         Args:
-            levels: row of the terrain of each robot, 0 the easiest, [N].
-            kinds: its column, [N].
+            levels: Row of the terrain of each robot, 0 the easiest, [N].
+            kinds: Its column, [N].
         """
         terrain = tile_terrain(self.env)
         terrain.terrain_levels[:] = torch.as_tensor(levels)
@@ -323,15 +323,15 @@ class SimEnv:
         self._view = view
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
-        """Generalised positions [len(rows), nq], for pictures."""
+        """Return generalised positions [len(rows), nq], for pictures."""
         return self.env.sim.data.qpos[list(rows)].numpy().copy()
 
     def _position(self) -> np.ndarray:
-        """Horizontal base position [N, 2]."""
+        """Return the horizontal base position, [N, 2] m."""
         return self._robot.root_link_pos_w[:, :2].numpy()
 
     def _readings(self, observation: dict, fell: np.ndarray, ended: np.ndarray) -> StepResult:
-        """Observations with noise, and true state; `fell` and `ended` are of the last step, [N]."""
+        """Return noisy observations and true state; `fell` and `ended` are the last step's, [N]."""
         # Twins have the same noise.
         noise = self._disturbances.draw_noise()
         if noise is not None:
@@ -359,10 +359,10 @@ def ray_perturbation(
     """Convert a perturbation of cameras to the ray caster's form; None if nothing changes.
 
     Args:
-        view: perturbation of N cameras; raises RenetError if it makes obstacles of glass where
+        view: Perturbation of N cameras; raises RenetError if it makes obstacles of glass where
             there are none.
-        model: model of the scene.
-        middles: horizontal middles of its tiles, [M, 2] m.
+        model: Model of the scene.
+        middles: Horizontal middles of its tiles, [M, 2] m.
     """
     if view == ViewPerturbation.none(len(view.lift)):
         return None

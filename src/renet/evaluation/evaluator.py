@@ -54,10 +54,10 @@ class Evaluator:
         """Load a bundle; raises RenetError if the bundle or the motors cannot be used.
 
         Args:
-            bundle: folder of the bundle; by default the one that comes with renet.
-            engine: auto, native or warp.
-            conditions: training, for the conditions of the bundle's task, or nominal.
-            motors: motors of the robots: ideal, go1, or a file of `renet identify`.
+            bundle: Folder of the bundle; by default the one that comes with renet.
+            engine: Auto, native or warp.
+            conditions: Training, for the conditions of the bundle's task, or nominal.
+            motors: Motors of the robots: ideal, go1, or a file of `renet identify`.
         """
         self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine = engine
@@ -98,12 +98,12 @@ class Evaluator:
         return hashlib.sha256(content.encode()).hexdigest()
 
     def provenance(self, seed: int) -> Provenance:
-        """Provenance of numbers that are made with this bundle now."""
+        """Return the provenance of numbers that are made with this bundle now."""
         engine = "native" if self.engine == "auto" else self.engine
         return Provenance(self.bundle.name, self.bundle.sha256, engine, seed)
 
     def terrain_env_cfg(self, terrain: StudyTerrain) -> RenetEnvCfg:
-        """Task of `env.terrain_env_cfg` with the bundle's robot and the evaluator's conditions."""
+        """Return `env.terrain_env_cfg` for the bundle's robot, in the evaluator's conditions."""
         cfg = terrain_env_cfg(terrain, self.robot)
         self.set_conditions(cfg)
         return cfg
@@ -124,15 +124,15 @@ class Evaluator:
         """Make an environment of robots that are commanded to walk straight ahead.
 
         Args:
-            task: terrain or grounds as in `terrain_env_cfg`, or a task made with `play=True`, whose
+            task: Terrain or grounds as in `terrain_env_cfg`, or a task made with `play=True`, whose
                 conditions are not changed (see `set_conditions`).
-            robots: a number for each robot; robots with the same number are twins.
-            speed: commanded speed, m/s.
-            seed: seed of bodies and starts.
-            camera_noise: standard deviation of every depth, m; None: as in the bundle's training.
+            robots: A number for each robot; robots with the same number are twins.
+            speed: Commanded speed, m/s.
+            seed: Seed of bodies and starts.
+            camera_noise: Standard deviation of every depth, m; None: as in the bundle's training.
 
         Raises:
-            RenetError: the task's robot is not the bundle's, or the seed is out of range.
+            RenetError: The task's robot is not the bundle's, or the seed is out of range.
         """
         # NumPy's legacy generator takes no other seeds.
         if not 0 <= seed < 2**32:
@@ -176,10 +176,10 @@ class Evaluator:
         """Prepare a run of the policy under study.
 
         Args:
-            env: environment of N robots.
-            trials: mode and camera faults of each robot, [N].
-            seed: seed of the camera faults.
-            unseen: conduct where the camera fails, of all robots or of each, see `Pilot`.
+            env: Environment of N robots.
+            trials: Mode and camera faults of each robot, [N].
+            seed: Seed of the camera faults.
+            unseen: Conduct where the camera fails, of all robots or of each, see `Pilot`.
         """
         modes = pilot_modes(trials)
         policy = self.make_policy(len(trials))

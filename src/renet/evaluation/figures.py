@@ -114,7 +114,7 @@ def png(figure: Figure, dpi: int = 150, description: str | None = None) -> bytes
 
 
 def setting_label(finding: dict[str, Any]) -> str:
-    """Label of a finding's setting, such as "glare 5 on gap"."""
+    """Return the label of a finding's setting, such as "glare 5 on gap"."""
     return f"{finding['fault']} {finding['severity']} on {finding['ground'].replace('_', ' ')}"
 
 
@@ -127,7 +127,7 @@ def mean_cells(
     share: Callable[[dict[str, Any]], float],
     heading: str = "severity",
 ) -> Cells:
-    """Mean shares of runs in percent, by fault and another column of the rows, the heading."""
+    """Average shares of runs, in percent, by fault and another column of the rows, `heading`."""
     cells = {}
     for (fault, name), group in group_by(runs, "fault", heading).items():
         shares = np.array([100 * share(run) for run in group])
@@ -146,15 +146,15 @@ def colour_tables(
     stacked: bool = False,
     rotation: float = 0.0,
 ) -> Figure:
-    """Coloured tables with the same rows, dark for 100, light for 0.
+    """Draw coloured tables with the same rows, dark for 100, light for 0.
 
     Args:
-        panels: cells of each table, by its title.
-        title: title of the figure.
-        xlabel: name of the columns' quantity.
-        width: width of a column, inches.
-        stacked: tables are below one another instead of side by side.
-        rotation: rotation of the columns' names, degrees.
+        panels: Cells of each table, by its title.
+        title: Title of the figure.
+        xlabel: Name of the columns' quantity.
+        width: Width of a column, inches.
+        stacked: Tables are below one another instead of side by side.
+        rotation: Rotation of the columns' names, degrees.
     """
     # Rows and columns of all panels, in the order in which they first occur.
     places = list(chain.from_iterable(panels.values()))
@@ -190,15 +190,15 @@ def share_panels(
     xlabel: str = "",
     rotation: float = 0.0,
 ) -> Figure:
-    """Panels with shares of robots that cross and their intervals, a line for each mode.
+    """Draw panels of the shares of robots that cross, with intervals, a line for each mode.
 
     Args:
-        panels: rows of a summary, by title; two panels are side by side.
-        name: name of the share, see `metrics.share_columns`.
-        tick: label of a row's place; places are evenly spaced, in the order in which their labels
+        panels: Rows of a summary, by title; two panels are side by side.
+        name: Name of the share, see `metrics.share_columns`.
+        tick: Label of a row's place; places are evenly spaced, in the order in which their labels
             first occur.
-        xlabel: label of the horizontal axis.
-        rotation: rotation of the tick labels, degrees.
+        xlabel: Label of the horizontal axis.
+        rotation: Rotation of the tick labels, degrees.
     """
     columns = min(len(panels), 2)
     rows = math.ceil(len(panels) / columns)
@@ -237,12 +237,12 @@ def draw_shares(
     """Draw a line of shares of robots in percent, with their intervals.
 
     Args:
-        axis: axis to draw on.
-        x: place of each row, [rows].
-        runs: rows of a summary.
-        name: name of the share, see `metrics.share_columns`.
-        fmt: format of the line.
-        look: further arguments of `Axes.errorbar`.
+        axis: Axis to draw on.
+        x: Place of each row, [rows].
+        runs: Rows of a summary.
+        name: Name of the share, see `metrics.share_columns`.
+        fmt: Format of the line.
+        look: Further arguments of `Axes.errorbar`.
     """
     rate = 100 * np.array(column(runs, f"{name}_rate"))
     low = 100 * np.array(column(runs, f"{name}_ci95_low"))
@@ -252,7 +252,7 @@ def draw_shares(
 
 
 def count_bars(counts: Mapping[str, int], of: int, title: str) -> Figure:
-    """Bar for each mode, with its count out of `of` robots written on its end."""
+    """Draw a bar for each mode, with its count out of `of` robots written on its end."""
     figure, axis = plt.subplots(figsize=(9, 0.9 + 0.55 * len(counts)))
     colours = [MODE_COLOURS[mode] for mode in counts]
     bars = axis.barh([*counts], [*counts.values()], color=colours)

@@ -71,11 +71,11 @@ def make_parts(
 
     Args:
         part_maker: `Study.part_maker` of a study, which every process calls.
-        groups: names of the parts; one process makes those of a group.
-        jobs: number of processes.
+        groups: Names of the parts; one process makes those of a group.
+        jobs: Number of processes.
 
     Raises:
-        RenetError: the first that a process raised; or a process ended without a message; or the
+        RenetError: The first that a process raised; or a process ended without a message; or the
             study is of a class that other processes cannot import.
     """
     try:
@@ -118,7 +118,7 @@ def make_parts(
 
 
 def _shares(jobs: int) -> list[list[int]]:
-    """Processors of each job; some jobs share one if there are more jobs than processors."""
+    """Divide the processors among jobs; some share one if there are more jobs than processors."""
     processors = sorted(os.sched_getaffinity(0))
     shares = np.array_split(processors, min(jobs, len(processors)))
     return [shares[job % len(shares)].tolist() for job in range(jobs)]

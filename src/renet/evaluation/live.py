@@ -45,7 +45,7 @@ class LiveView(Protocol):
 
 
 def has_display() -> bool:
-    """True if the environment names a display for windows."""
+    """Return True if the environment names a display for windows."""
     return any(os.environ.get(name) for name in DISPLAYS)
 
 
@@ -53,12 +53,12 @@ def open_view(viewer: Viewer, spec: mujoco.MjSpec, names: Sequence[str]) -> Live
     """Open a view of a scene; None if there is no display, or no view is wanted.
 
     Args:
-        viewer: place of the view.
-        spec: scene with one robot, which is copied.
-        names: names of the robots. The last one is the scene's own; the others are transparent.
+        viewer: Place of the view.
+        spec: Scene with one robot, which is copied.
+        names: Names of the robots. The last one is the scene's own; the others are transparent.
 
     Raises:
-        RenetError: a window is asked for, and there is no display.
+        RenetError: A window is asked for, and there is no display.
     """
     if viewer == "none" or (viewer == "auto" and not has_display()):
         return None
@@ -83,7 +83,7 @@ def _show_shapes(model: mujoco.MjModel) -> None:
 
 
 def _starts_windows() -> bool:
-    """True if GLFW reaches the display."""
+    """Return True if GLFW reaches the display."""
     # MuJoCo's viewer opens its window with GLFW, and waits forever without a display.
     try:
         import glfw

@@ -9,12 +9,12 @@ from renet.interface import CONTROL_DT
 
 
 def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.ndarray:
-    """Time from the control step `start` until a robot's selector first leaves vision.
+    """Compute the time from the control step `start` until a selector first leaves vision.
 
     Args:
-        vision: [T, U, N] bool, vision trusted after each of the U selector updates of a step.
-        start: control step at which the fault begins, 1 or later.
-        end: control step at which it is over; later switches do not count.
+        vision: True where vision is trusted after each of a step's U updates, [T, U, N] bool.
+        start: Control step at which the fault begins, 1 or later.
+        end: Control step at which it is over; later switches do not count.
 
     Returns:
         [N] s, a multiple of the update period; 0 where vision was not trusted before `start`, NaN
@@ -28,7 +28,7 @@ def switch_delay(vision: np.ndarray, start: int, end: int | None = None) -> np.n
 
 
 def false_switches(vision: np.ndarray, failing: np.ndarray) -> int:
-    """Number of times that robots left vision, [T, U, N] bool, while not `failing`, [T, N]."""
+    """Count how often robots left vision, [T, U, N] bool, while not `failing`, [T, N]."""
     flat = vision.reshape(-1, vision.shape[2])
     healthy = ~np.repeat(failing, vision.shape[1], axis=0)
     # Vision was trusted at one update and not at the next.
@@ -36,18 +36,20 @@ def false_switches(vision: np.ndarray, failing: np.ndarray) -> int:
 
 
 def healthy_hours(failing: np.ndarray) -> float:
-    """Robot hours with a healthy camera, from `failing` [T, N]."""
+    """Compute the robot hours with a healthy camera, from `failing` [T, N]."""
     return float((~failing).sum()) * CONTROL_DT / 3600
 
 
 def bootstrap_interval(
     values: np.ndarray, statistic: Callable[..., np.ndarray] = np.mean
 ) -> tuple[float, float]:
-    """95 % percentile bootstrap interval of a statistic, of 2,000 resamples; NaN without values.
+    """Compute a statistic's 95 % percentile bootstrap interval from 2,000 resamples.
+
+    It has no width for a single value, and is NaN without any.
 
     Args:
-        values: one independent number for each robot, [n]; NaNs are left out.
-        statistic: takes an array and `axis`.
+        values: One independent number for each robot, [n]; NaNs are left out.
+        statistic: Takes an array and `axis`.
     """
     values = np.asarray(values, float)
     values = values[~np.isnan(values)]
@@ -60,10 +62,11 @@ def bootstrap_interval(
 
 
 def share_interval(successes: np.ndarray) -> tuple[float, float]:
-    """Clopper and Pearson's 95 % interval of a share, from 0 or 1 for each robot [n]; n > 0.
+    """Compute Clopper and Pearson's 95 % interval of a share, from 0 or 1 for each robot [n].
 
-    It is exact: it covers the true share at least 95 % of the time, however few robots there are.
-    Unlike a bootstrap interval, it has a width even if all robots succeed or all fail.
+    There must be at least one robot. The interval is exact: it covers the true share at least 95 %
+    of the time, however few robots there are. Unlike a bootstrap interval, it has a width even if
+    all robots succeed or all fail.
     """
     test = scipy.stats.binomtest(int(successes.sum()), len(successes))
     low, high = test.proportion_ci(0.95, "exact")
@@ -71,27 +74,27 @@ def share_interval(successes: np.ndarray) -> tuple[float, float]:
 
 
 def share_columns(name: str, successes: np.ndarray) -> dict[str, float]:
-    """A share with its `share_interval`, as columns of a summary's row.
+    """Return a share with its `share_interval`, as columns of a summary's row.
 
     Args:
-        name: beginning of the columns' names: NAME_rate, NAME_ci95_low and NAME_ci95_high.
+        name: Beginning of the columns' names: NAME_rate, NAME_ci95_low and NAME_ci95_high.
         successes: 0 or 1 for each robot, [n]; n > 0.
     """
     return {f"{name}_rate": float(successes.mean()), **with_share_interval(name, successes)}
 
 
 def mean_columns(name: str, values: np.ndarray) -> dict[str, float]:
-    """A mean with its `bootstrap_interval`, as columns of a summary's row.
+    """Return a mean with its `bootstrap_interval`, as columns of a summary's row.
 
     Args:
-        name: beginning of the columns' names: NAME, NAME_ci95_low and NAME_ci95_high.
-        values: one number for each robot, [n].
+        name: Beginning of the columns' names: NAME, NAME_ci95_low and NAME_ci95_high.
+        values: One number for each robot, [n].
     """
     return {name: float(values.mean()), **with_interval(name, values)}
 
 
 def with_share_interval(name: str, successes: np.ndarray) -> dict[str, float]:
-    """The `share_interval` of 0 or 1 for each robot [n], as columns of a summary's row."""
+    """Return the `share_interval` of 0 or 1 for each robot [n], as columns of a summary's row."""
     low, high = share_interval(successes)
     return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
 
@@ -99,13 +102,13 @@ def with_share_interval(name: str, successes: np.ndarray) -> dict[str, float]:
 def with_interval(
     name: str, values: np.ndarray, statistic: Callable[..., np.ndarray] = np.mean
 ) -> dict[str, float]:
-    """The 95 % bootstrap interval of a statistic of `values` [n], as columns of a summary's row."""
+    """Return the bootstrap interval of a statistic of `values` [n], as columns of a row."""
     low, high = bootstrap_interval(values, statistic)
     return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
 
 
 def poisson_upper(count: int) -> float:
-    """Exact one-sided 95 % upper limit of a Poisson mean after `count` events.
+    """Compute the exact one-sided 95 % upper limit of a Poisson mean after `count` events.
 
     At this mean, `count` or fewer events have a probability of 5 %.
     """

@@ -35,7 +35,7 @@ class MonitorLog:
 
 
 def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]:
-    """Robot and vision ticks of every successful episode of a run with healthy cameras.
+    """List robot and vision ticks of every successful episode of a run with healthy cameras.
 
     An episode succeeds if it does not end in a fall and the robot covers at least half of the
     commanded distance (the curriculum's rule), for a robot stuck in front of a step sees a blank
@@ -62,7 +62,7 @@ def successful_runs(trace: Trace, speed: float = 0.0) -> list[tuple[int, slice]]
 def healthy_series(
     log: MonitorLog, trace: Trace, speed: float = 0.0
 ) -> dict[str, list[np.ndarray]]:
-    """Scores of the successful episodes, [T] each, by monitor name; see `successful_runs`."""
+    """Return the scores of successful episodes, [T] each, by monitor; see `successful_runs`."""
     runs = successful_runs(trace, speed)
     series = {}
     for name, table in log.scores.items():
@@ -71,11 +71,11 @@ def healthy_series(
 
 
 def replay_selector(selector: Selector, anomaly: np.ndarray) -> np.ndarray:
-    """Answers of a selector to the anomaly scores of a run that did not obey it.
+    """Replay a run's anomaly scores to a selector that the run did not obey.
 
     Args:
-        selector: judges anomaly scores alone, as the paper's does.
-        anomaly: anomaly scores, [T, N].
+        selector: Judges anomaly scores alone, as the paper's does.
+        anomaly: Anomaly scores, [T, N].
 
     Returns:
         Answers, true where vision is trusted, [T, U, N].

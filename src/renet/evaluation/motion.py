@@ -57,7 +57,7 @@ class MotionSensor:
         )
 
     def _slip(self) -> torch.Tensor:
-        """Mean speed of the feet in contact, [N] m/s, from their positions now and one step ago."""
+        """Compute the mean speed of the feet in contact, [N] m/s, from their last two positions."""
         env = self._env
         feet = env.sim.data.site_xpos[:, self._feet, :2].clone()
         before = feet if self._feet_before is None else self._feet_before

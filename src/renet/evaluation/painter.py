@@ -44,16 +44,16 @@ class View(NamedTuple):
     """A picture with its camera."""
 
     picture: np.ndarray
-    """[height, width, 3] uint8."""
+    """Colours, [height, width, 3] uint8."""
     ground: np.ndarray
-    """[height, width] bool: the pixel shows no robot."""
+    """True where a pixel shows no robot, [height, width] bool."""
     eye: np.ndarray
     """Position of the camera, [3] m."""
     axes: np.ndarray
     """Axes of the camera in the world, as columns, [3, 3]."""
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Column, row and scale in pixels per metre of points [K, 3] m: [K, 3]."""
+        """Project points [K, 3] m; returns column, row and scale in pixels per metre, [K, 3]."""
         height, width, _ = self.picture.shape
         x, y, z = ((points - self.eye) @ self.axes).T
         scale = _FOCAL * height / np.maximum(-z, 0.05)
@@ -70,7 +70,7 @@ class Painter:
         model = spec.compile()
         self._model = model
         self._ground = model.body_weldid[model.geom_bodyid] == 0
-        """[geoms] bool: the geom is part of the ground."""
+        """True for geoms that are part of the ground, [geoms] bool."""
         _light(model, self._ground)
         self._host = mujoco.MjData(model)
         mujoco.mj_forward(model, self._host)
@@ -152,11 +152,11 @@ class Painter:
         """Add slabs and haze to the ground, and a plain and a sky where no ray hit anything.
 
         Args:
-            light: traced colours, [height, width, 3], 0 to 255.
-            depth: distance along the camera's axis, [height, width] m.
-            geom: geom of each pixel, [height, width]; negative for none.
-            eye: position of the camera, [3] m.
-            axes: its axes, as columns, [3, 3].
+            light: Traced colours, [height, width, 3], 0 to 255.
+            depth: Distance along the camera's axis, [height, width] m.
+            geom: Geom of each pixel, [height, width]; negative for none.
+            eye: Position of the camera, [3] m.
+            axes: Its axes, as columns, [3, 3].
         """
         rays = self._rays @ axes.T
         up = rays[..., 2]
@@ -178,7 +178,7 @@ class Painter:
         return View(picture.clip(0, 255).astype(np.uint8), ground, eye, axes)
 
     def heights(self, points: np.ndarray) -> np.ndarray:
-        """Height of the ground under or over points [K, 3] m: [K] m, minus infinity for none."""
+        """Return the ground's height at points [K, 3] m: [K] m, minus infinity for none."""
         down = [0, 0, -1.0]
         # MuJoCo's group 0, static geoms included, no body excluded.
         groups = np.array([1, 0, 0, 0, 0, 0], np.uint8)
@@ -192,7 +192,7 @@ class Painter:
 
 
 def _pixel_rays() -> np.ndarray:
-    """Point that each pixel shows 1 m along the camera's axis, in its frame, [height, width, 3]."""
+    """Return each pixel's ray, 1 m along the camera's axis, in its frame, [height, width, 3]."""
     width, height = PANEL
     across, down = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     focal = _FOCAL * height
@@ -201,7 +201,7 @@ def _pixel_rays() -> np.ndarray:
 
 
 def _texture(points: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Brightness [...] of the ground at points [..., 3] m: slabs, grains and dark pits.
+    """Return the brightness [...] of the ground at points [..., 3] m: slabs, grains and dark pits.
 
     `near`, [...], is the contrast of the grains, 0 to 1.
     """
@@ -214,7 +214,7 @@ def _texture(points: np.ndarray, near: np.ndarray) -> np.ndarray:
 
 
 def _cell_number(x: np.ndarray, y: np.ndarray, side: float) -> np.ndarray:
-    """Number [...] of the square cell of a grid at positions x and y, [...] m."""
+    """Return the number [...] of the square cell of a grid at positions x and y, [...] m."""
     return np.floor(x / side + 0.01) + 57 * np.floor(y / side + 0.01)
 
 
@@ -232,7 +232,7 @@ def _light(model: mujoco.MjModel, ground: np.ndarray) -> None:
 
 
 def _axes(away: np.ndarray) -> np.ndarray:
-    """Axes, as columns [3, 3], of a camera that looks back along `away`, [3]."""
+    """Return the axes, as columns [3, 3], of a camera that looks back along `away`, [3]."""
     back = away / np.linalg.norm(away)
     right = np.cross([0, 0, 1], back)
     right /= np.linalg.norm(right)

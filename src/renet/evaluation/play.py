@@ -75,7 +75,7 @@ class PlayCfg(PolicyOptions):
 
 
 def _use_of(path: Path) -> str:
-    """Command for a file that is no bundle, in words."""
+    """Say which command takes a file that is no bundle."""
     if path.suffix in (".onnx", ".pt"):
         return "`renet play --policy FILE --adapter NAME` walks a policy"
     return "`renet evaluate log` draws a recording"
@@ -83,7 +83,7 @@ def _use_of(path: Path) -> str:
 
 @contextmanager
 def bundle_folder(path: Path | None) -> Iterator[Path | None]:
-    """Folder of a bundle; a checkpoint is exported to a folder that lasts as long as the block.
+    """Context with a bundle's folder; for a checkpoint, one that lasts as long as the block.
 
     Raises RenetError for a folder that holds neither.
     """
@@ -102,7 +102,7 @@ def bundle_folder(path: Path | None) -> Iterator[Path | None]:
 
 @contextmanager
 def open_evaluator(cfg: PlayCfg) -> Iterator[tuple[Evaluator, Mapping[str, str]]]:
-    """Evaluator of the settings' policy, and the rollout's mode of each robot by its title.
+    """Context with the settings' evaluator, and the rollout's mode of each robot by its title.
 
     Raises RenetError for a bundle or a policy that cannot be used.
     """
@@ -167,7 +167,7 @@ def run_play(cfg: PlayCfg) -> Path:
 
 
 def ground_of(cfg: PlayCfg) -> Any:
-    """Task for `Evaluator.make_env`; raises RenetError for a ground that cannot be built."""
+    """Return the task for `Evaluator.make_env`; raises RenetError if it cannot be built."""
     from renet.tasks.terrains import own_ground
     from renet.terrain.own_ground import GroundFile
 
@@ -179,13 +179,13 @@ def ground_of(cfg: PlayCfg) -> Any:
 
 @contextmanager
 def watching(cfg: PlayCfg, env: SimEnv, titles: Sequence[str]) -> Iterator[Callable[[int], bool]]:
-    """Function to call after each control step, which updates the live view if there is one.
+    """Context with a function to call after each control step, which updates the live view.
 
     It returns True once the window is closed.
 
     Args:
-        cfg: settings with the place of the view.
-        env: environment of the robots, whose titles are [N].
+        cfg: Settings with the place of the view.
+        env: Environment of the robots, whose titles are [N].
     """
     view = open_view(cfg.viewer, env.scene_spec, titles)
     if view is None:

@@ -30,7 +30,7 @@ Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
 
 
 def command_line() -> str:
-    """This process's command line, in which bytes that are no UTF-8 are replaced."""
+    """Return this process's command line, in which bytes that are no UTF-8 are replaced."""
     command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     # Python keeps such bytes of a file's name as surrogates, which cannot be written to a file.
     return command.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
@@ -133,21 +133,21 @@ class PartMaker:
         """Prepare to make parts.
 
         Args:
-            folder: folder of the parts.
-            key: all settings that the parts' numbers depend on.
-            makers: function that makes each part, by the part's name.
+            folder: Folder of the parts.
+            key: All settings that the parts' numbers depend on.
+            makers: Function that makes each part, by the part's name.
         """
         self.folder = folder
         self.makers = makers
         self._key = plain({**key, "format": PARTS_FORMAT})
 
     def _path(self, name: str) -> Path:
-        """Path of a part, with the beginning of the key's hash in its name."""
+        """Return the path of a part, with the beginning of the key's hash in its name."""
         digest = hashlib.sha256(json.dumps(self._key, sort_keys=True).encode()).hexdigest()
         return self.folder / f"{name}-{digest[:8]}.json"
 
     def missing(self, names: Iterable[str]) -> list[str]:
-        """Names of the parts that are not on disk."""
+        """List the parts that are not on disk."""
         return [name for name in names if not self._path(name).exists()]
 
     def check_kept(self) -> None:
@@ -188,7 +188,7 @@ def group_by(rows: Sequence[_Row], *names: str) -> dict[tuple[Any, ...], list[_R
 
 
 def select(rows: Sequence[_Row], **values: Any) -> list[_Row]:
-    """Rows whose columns have the given values, such as `select(runs, mode="memory")`."""
+    """Select rows whose columns have the given values, such as `select(runs, mode="memory")`."""
     selection = []
     for row in rows:
         if all(row[name] == value for name, value in values.items()):
@@ -197,17 +197,17 @@ def select(rows: Sequence[_Row], **values: Any) -> list[_Row]:
 
 
 def column(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
-    """Values of a column, one for each row."""
+    """Return the values of a column, one for each row."""
     return [row[name] for row in rows]
 
 
 def as_text(value: float | None, form: str, scale: float = 1.0) -> str:
-    """A number, scaled, in a format such as ".2f"; a dash if it was not measured."""
+    """Format a number, scaled, such as by ".2f"; a dash if it was not measured."""
     return "-" if value is None else format(scale * value, form)
 
 
 def table_rows(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows without the columns in which any of them has a list or a dictionary.
+    """Return rows without the columns in which any of them has a list or a dictionary.
 
     A cell of a table holds neither. What was not measured is None in any column.
     """
@@ -227,19 +227,19 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def markdown(table: Table) -> str:
-    """A table under its title as Markdown; text from files is escaped."""
+    """Format a table under its title as Markdown; text from files is escaped."""
     title, header, rows = table
     lines = [_line(header), _line(["---"] * len(header)), *map(_line, rows)]
     return f"## {_escape(title)}\n\n" + "".join(lines)
 
 
 def _line(cells: Sequence[object]) -> str:
-    """A row of a table as Markdown."""
+    """Format a row of a table as Markdown."""
     return f"| {' | '.join(map(_escape, cells))} |\n"
 
 
 def _escape(value: object) -> str:
-    """A value as one line of Markdown in which nothing is markup."""
+    """Format a value as one line of Markdown in which nothing is markup."""
     # Names of runs and files come from users.
     line = printable(str(value))
     for character in "\\`*_[]<>|!&~":
@@ -254,11 +254,11 @@ def write_summary(
     """Write a study's results as Markdown, atomically.
 
     Args:
-        path: path of the file.
-        title: heading of the file.
-        tables: its tables, in their order.
-        figures: names of pictures in the same folder.
-        provenance: provenance of the numbers.
+        path: Path of the file.
+        title: Heading of the file.
+        tables: Its tables, in their order.
+        figures: Names of pictures in the same folder.
+        provenance: Provenance of the numbers.
     """
     sections = [f"# {_escape(title)}\n", *map(markdown, tables)]
     if figures:

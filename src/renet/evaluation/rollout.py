@@ -53,7 +53,7 @@ class EvalEnv(Protocol):
         ...
 
     def poses(self, rows: Sequence[int]) -> np.ndarray:
-        """Generalised positions [len(rows), nq], for pictures."""
+        """Return generalised positions [len(rows), nq], for pictures."""
         ...
 
     def perturb_cameras(self, view: ViewPerturbation) -> None:
@@ -67,13 +67,13 @@ class Rollout:
         """Prepare a run.
 
         Args:
-            env: environment of N robots.
-            pilot: pilot of N robots in the trials' modes (see `pilot_modes`).
-            trials: mode and camera faults of each robot, [N].
-            seed: seed of the camera faults.
+            env: Environment of N robots.
+            pilot: Pilot of N robots in the trials' modes (see `pilot_modes`).
+            trials: Mode and camera faults of each robot, [N].
+            seed: Seed of the camera faults.
 
         Raises:
-            RenetError: the environment has another number of robots.
+            RenetError: The environment has another number of robots.
         """
         if env.num_robots != len(trials):
             raise RenetError(f"{len(trials)} trials need as many robots, not {env.num_robots}")
@@ -104,15 +104,15 @@ class Rollout:
         """Run for a number of control steps; raises RenetError if the scene cannot have a fault.
 
         Args:
-            steps: number of control steps.
-            title: title of the progress.
-            until_ended: number of control steps after which the run ends as soon as every robot's
+            steps: Number of control steps.
+            title: Title of the progress.
+            until_ended: Number of control steps after which the run ends as soon as every robot's
                 first try is over; None: it always runs for `steps`.
             retire: True to stop simulating robots whose first try is over. The trace of a retired
                 robot is meaningless from then on; the traces of the others stay the same, bit for
                 bit.
-            film: robots to keep poses and images of.
-            on_step: called after every control step with its number, from 0; True ends the run.
+            film: Robots to keep poses and images of.
+            on_step: Called after every control step with its number, from 0; True ends the run.
         """
         trace = Trace.empty(steps, len(self.modes))
         # Step from which on the run may end early.
@@ -156,9 +156,9 @@ class Rollout:
         self.pilot.reset()
         self._frames = Frames.healthy(self._result.depth)
         self._over = np.zeros(len(self.modes), bool)
-        """[N] bool: the first try is over."""
+        """True where the first try is over, [N] bool."""
         self._retired = np.zeros(len(self.modes), bool)
-        """[N] bool: not simulated any more."""
+        """True for robots that are no longer simulated, [N] bool."""
 
     def _retire(self) -> None:
         """Stop the work for robots whose first try is over, where environment and policy can."""
@@ -199,7 +199,7 @@ class Rollout:
         return action
 
     def _images(self, step: int, update: int = 0) -> Images:
-        """Frames of the newest tick with their ages; they are fresh in its first update only."""
+        """Return the newest tick's frames with ages; they are fresh in its first update only."""
         frames = self._frames
         passed = step % STEPS_PER_TICK * CONTROL_DT + update * PHYSICS_DT
         fresh = frames.fresh if passed == 0.0 else np.zeros_like(frames.fresh)
@@ -219,10 +219,10 @@ class Rollout:
 
 
 def robot_numbers(trials: Sequence[Trial]) -> list[int]:
-    """Number of each trial's robot; robots with the same number are twins."""
+    """Return the number of each trial's robot; robots with the same number are twins."""
     return [trial.robot for trial in trials]
 
 
 def pilot_modes(trials: Sequence[Trial]) -> list[str]:
-    """Modes of the pilot for trials; mode oracle is mode camera with the rollout's distrust."""
+    """Return the pilot's mode of each trial; mode oracle is camera with the rollout's distrust."""
     return ["camera" if trial.mode == ORACLE else trial.mode for trial in trials]

@@ -114,18 +114,18 @@ class Study:
         return slice(int(number) - 1, None, int(count))
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """Function that runs each batch of robots, by the name under which its part is kept."""
+        """Return the function that runs each batch of robots, by the name of the batch's part."""
         raise NotImplementedError
 
     def part_groups(self, names: Sequence[str]) -> list[list[str]]:
-        """Names of the parts in groups, each of which one process makes.
+        """Return the names of the parts in groups, each of which one process makes.
 
         By default every part is a group. A study groups parts whose robots walk side by side.
         """
         return [[name] for name in names]
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """Content of the summary beside settings and provenance; `runs` is its list of rows.
+        """Return the summary's content beside settings and provenance; `runs` is its list of rows.
 
         By default there is nothing else, and the rows are the rows of all parts, in order.
         """
@@ -135,11 +135,11 @@ class Study:
         return {"runs": runs}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figures of a summary by their file name, which `run` saves; none by default."""
+        """Draw the figures of a summary, by file name, which `run` saves; none by default."""
         return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Tables of a summary, for the command line and summary.md."""
+        """Make the tables of a summary, for the command line and summary.md."""
         raise NotImplementedError
 
     def make_evaluator(self) -> Evaluator:
@@ -149,7 +149,7 @@ class Study:
         return Evaluator(self.bundle, self.engine, self.conditions, self.motors)
 
     def file_digests(self) -> dict[str, str]:
-        """Hashes of the contents of files that settings name, by the setting, for parts' keys."""
+        """Return hashes of the files that settings name, by the setting, for parts' keys."""
         return {"motors": motors_key(self.motors)}
 
     def part_maker(self, evaluator: Evaluator | None = None) -> PartMaker:
@@ -176,13 +176,13 @@ class Study:
         """Run the parts that are missing, write the results to `out` and return the summary.
 
         Args:
-            evaluator: evaluator of the policy, whose own conditions hold; made from the settings by
+            evaluator: Evaluator of the policy, whose own conditions hold; made from the settings by
                 default.
 
         Raises:
-            RenetError: the bundle cannot be used, the folder cannot be written to, or a kept part
+            RenetError: The bundle cannot be used, the folder cannot be written to, or a kept part
                 is damaged.
-            MissingParts: this shard is made, and others are not.
+            MissingParts: This shard is made, and others are not.
         """
         # An evaluator cannot be sent to another process.
         if evaluator is not None and self.jobs > 1:
@@ -207,7 +207,7 @@ class Study:
     def _summary(
         self, parts: Mapping[str, Part], evaluator: Evaluator, provenance: Provenance
     ) -> dict[str, Any]:
-        """The summary with settings and provenance, in JSON's types."""
+        """Make the summary with settings and provenance, in JSON's types."""
         summary: dict[str, Any] = {"study": self.name}
         summary |= self.summarise(parts, evaluator)
         settings = asdict(self)
@@ -298,11 +298,11 @@ class WalkingStudy(Study):
     def trial_group(
         self, mode: str, schedule: FaultSchedule = (), ground: str = FLAT_GROUND
     ) -> list[Trial]:
-        """Trials of all robots of one setting in one mode; by default without faults."""
+        """Return the trials of all robots of one setting in one mode; by default without faults."""
         return [Trial(mode, schedule, robot, ground) for robot in range(self.robots_each)]
 
     def trials_on(self, grounds: Sequence[str], schedule: FaultSchedule = ()) -> list[Trial]:
-        """Trials of all robots: a group for each mode on each ground, ground by ground."""
+        """Return all robots' trials: a group for each mode on each ground, ground by ground."""
         trials = []
         for ground, mode in product(grounds, self.modes):
             trials += self.trial_group(mode, schedule, ground)
@@ -314,11 +314,11 @@ class WalkingStudy(Study):
         """Run trials, each on its ground, for the study's `seconds`.
 
         Args:
-            evaluator: evaluator of the policy.
-            env: environment of the trials' robots, as `Evaluator.make_env` makes it.
-            trials: one for each robot.
-            title: title of the progress.
-            options: further arguments of `Rollout.run`.
+            evaluator: Evaluator of the policy.
+            env: Environment of the trials' robots, as `Evaluator.make_env` makes it.
+            trials: One for each robot.
+            title: Title of the progress.
+            options: Further arguments of `Rollout.run`.
         """
         env.place_on([trial.ground for trial in trials])
         rollout = evaluator.rollout(env, trials, self.seed)

@@ -18,13 +18,13 @@ class Film:
     """Poses, images and maps of R robots, for films."""
 
     poses: np.ndarray
-    """[T, R, nq], generalised positions."""
+    """Generalised positions, [T, R, nq]."""
     images: np.ndarray
-    """[ticks, R, 48, 64] uint8, the depth image of each robot at each tick."""
+    """Depth image of each robot at each tick, [ticks, R, 48, 64] uint8."""
     maps: np.ndarray
-    """[ticks, R, 132] m, VP's height map after each tick; empty for policies without one."""
+    """VP's height map after each tick, [ticks, R, 132] m; empty for policies without one."""
     maps_seen: np.ndarray
-    """[ticks, R, 132] bool, True where that map shows ground that the robot has seen."""
+    """True where that map shows ground that the robot has seen, [ticks, R, 132] bool."""
     map_height: float = MAP_HEIGHT
     """Height of the base above flat ground at which these maps are zero, m."""
 
@@ -42,11 +42,11 @@ class TrueState:
     power: np.ndarray
     """Sum of |torque * joint velocity|, W."""
     fell: np.ndarray
-    """bool: the episode ended in this step by a fall, judged by the true pose."""
+    """True where the episode ended in this step by a fall, judged by the true pose, bool."""
     ended: np.ndarray
-    """bool: the episode ended in this step, by a fall, its time limit or its tile's edge. The robot
-    is at its next start already: the step's velocity, power and collisions are of the start. Means
-    are taken over the steps before."""
+    """True where the episode ended in this step, by a fall, its time limit or its tile's edge.
+    The robot is at its next start already: the step's velocity, power and collisions are of the
+    start. Means are taken over the steps before."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class StepResult(TrueState):
     """Observations and true state of N robots after a control step."""
 
     proprioception: np.ndarray
-    """[N, 45], scaled."""
+    """Scaled proprioception, [N, 45]."""
     depth: np.ndarray
-    """[N, 48, 64] in [0, 1], held between the camera's ticks."""
+    """Depth images in [0, 1], held between the camera's ticks, [N, 48, 64]."""
     angular_velocity: np.ndarray
-    """[N, 3] true angular velocity of the base, rad/s, base frame."""
+    """True angular velocity of the base, base frame, [N, 3] rad/s."""
 
 
 @dataclass(frozen=True)
@@ -74,27 +74,27 @@ class Trace(TrueState):
     probability: np.ndarray
     """Vision probability P_t at the end of the step."""
     vision: np.ndarray
-    """bool: the VP estimator's latent drove this step."""
+    """True where the VP estimator's latent drove this step, bool."""
     has_image: np.ndarray
-    """bool: VP's newest tick had an image; without one, it goes on from memory."""
+    """True where VP's newest tick had an image, bool; without one, it goes on from memory."""
     map_error: np.ndarray
     """Error of VP's height map ahead that VP itself predicts, m."""
     unseen: np.ndarray
-    """bool: the command leads to ground that the robot has not seen."""
+    """True where the command leads to ground that the robot has not seen, bool."""
     failing: np.ndarray
-    """bool: the camera is failing."""
+    """True where the camera is failing, bool."""
     trusted: np.ndarray
-    """[T, U, N] bool: the selector's answer after each of its U updates of a step."""
+    """The selector's answer after each of its U updates of a step, [T, U, N] bool."""
     film: Film | None = field(default=None, repr=False)
 
     @property
     def sees(self) -> np.ndarray:
-        """[T, U, N] bool: VP drove, and its newest tick had an image."""
+        """True where VP drove, and its newest tick had an image, [T, U, N] bool."""
         return self.trusted & self.has_image[:, None]
 
     @classmethod
     def empty(cls, steps: int, count: int) -> Trace:
-        """Room for `steps` control steps of `count` robots."""
+        """Make room for `steps` control steps of `count` robots."""
         flags = ("fell", "ended", "vision", "has_image", "unseen", "failing")
         arrays: dict[str, Any] = {}
         for field_ in fields(cls):
@@ -104,22 +104,22 @@ class Trace(TrueState):
         return cls(**arrays, trusted=np.ones((steps, UPDATES_PER_STEP, count), bool))
 
     def until(self, steps: int) -> Trace:
-        """The first control steps, without film."""
+        """Return the first control steps, without film."""
         return self._part(np.s_[:steps])
 
     def robots(self, index: slice | np.ndarray) -> Trace:
-        """Some robots, by their places or a mask [N], without film."""
+        """Select some robots, by their places or a mask [N], without film."""
         return self._part(np.s_[..., index])
 
     def _part(self, index: Any) -> Trace:
-        """A part of every array by its index, without film."""
+        """Select a part of every array by its index, without film."""
         arrays = dict(vars(self))
         # A film has other robots and steps than the arrays.
         del arrays["film"]
         return Trace(**{name: array[index] for name, array in arrays.items()})
 
     def groups(self, each: int) -> list[Trace]:
-        """Traces of the robots in their order, `each` in a group."""
+        """Divide the robots, in their order, into groups of `each`; returns their traces."""
         # A last group may be smaller.
         starts = range(0, self.fell.shape[1], each)
         return [self.robots(slice(start, start + each)) for start in starts]
@@ -128,8 +128,8 @@ class Trace(TrueState):
         """End of each robot's first try.
 
         Returns:
-            [N] bool, the robot crossed: the episode ended, and not by a fall;
-            [N] bool, it fell; [N] s, the time it took, NaN if the try did not end.
+            Masks of the robots that crossed, whose episodes ended without a fall, and of those that
+            fell, [N] bool each; and the time until the end, [N] s, NaN if there was none.
         """
         # The first step in which the episode ended; step 0 where it never did.
         first = self.ended.argmax(axis=0)
@@ -140,20 +140,20 @@ class Trace(TrueState):
 
     @property
     def over(self) -> np.ndarray:
-        """[T, N] bool: the first try ended in this or an earlier step."""
+        """True where the first try ended in this or an earlier step, [T, N] bool."""
         return np.logical_or.accumulate(self.ended, axis=0)
 
     @property
     def trying(self) -> np.ndarray:
-        """[T, N] bool: the first try goes on in this step, or ends with it."""
+        """True where the first try goes on in this step, or ends with it, [T, N] bool."""
         return ~np.vstack([np.zeros((1, self.ended.shape[1]), bool), self.over[:-1]])
 
     @property
     def fallen(self) -> np.ndarray:
-        """[T, N] bool: the first try is over, by a fall."""
+        """True where the first try is over, by a fall, [T, N] bool."""
         return self.over & self.first_try()[1]
 
     @property
     def speed(self) -> np.ndarray:
-        """[T, N] m/s along the commanded yaw; zero after a fall."""
+        """Velocity along the commanded yaw, zero after a fall, [T, N] m/s."""
         return np.where(self.fallen, 0.0, self.forward_velocity)

@@ -58,7 +58,7 @@ def film(path: Path, frames: Iterator[np.ndarray]) -> Path:
         frames: Pictures, [height, width, 3] uint8 each, which are drawn one by one.
 
     Raises:
-        RenetError: ffmpeg is missing, or the file cannot be written.
+        RenetError: Ffmpeg is missing, or the file cannot be written.
     """
     try:
         video = mediapy.compress_video(frames, fps=_FPS, crf=26)
@@ -73,7 +73,7 @@ def film(path: Path, frames: Iterator[np.ndarray]) -> Path:
 
 
 def _reason(error: Exception) -> str:
-    """First line of an error's text: ffmpeg's own words, without the temporary file's name."""
+    """Return the first line of ffmpeg's own words in an error, without the temporary file."""
     text = re.sub(r"^Error writing '.*?': ?", "", str(error)).strip()
     return text.splitlines()[0] if text else "ffmpeg ended before the film did"
 
@@ -141,7 +141,7 @@ def _write_outcome(image: Image.Image, outcome: str, colour: tuple[int, int, int
 
 
 def _state(trace: Trace, step: int, robot: int) -> str:
-    """Name of a robot's state at a step: sees, remembers or blind."""
+    """Return the name of a robot's state at a step: sees, remembers or blind."""
     if not trace.vision[step, robot]:
         return "blind"
     return "sees" if trace.has_image[step, robot] else "remembers"
@@ -227,7 +227,7 @@ def _stamp(
 
 @cache
 def _fitting_size(text: str, room: float) -> int:
-    """Size of a text of the bars, smaller if it is too long for a width; both in pixels."""
+    """Return the size of a bar's text, smaller if it is too long for `room`; both in pixels."""
     size = _TEXT
     while size > 1 and _font(size).getlength(text) > room:
         size -= 1

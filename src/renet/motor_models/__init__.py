@@ -21,10 +21,10 @@ def find_motors(name: str, robot: str) -> MotorModel | None:
 
     Args:
         name: `ideal` (None is returned), `go1`, or a file of `renet identify`.
-        robot: name of the robot whose motors they must be.
+        robot: Name of the robot whose motors they must be.
 
     Raises:
-        RenetError: no such motors, or those of another robot.
+        RenetError: No such motors, or those of another robot.
     """
     if name == IDEAL:
         return None

@@ -65,7 +65,7 @@ class CurvesWriter(LogWriter):
 
         Args:
             log_dir: Folder of the run.
-            logger: wandb or tensorboard.
+            logger: Wandb or tensorboard.
             project_name: Project of the logger wandb.
         """
         self._path = Path(log_dir) / CURVES

@@ -24,26 +24,27 @@ class Senses:
     """
 
     angular_velocity: np.ndarray
-    """[N, 3] rad/s, base frame, with the gyroscope's noise."""
+    """Angular velocity of the base, base frame, with the gyroscope's noise, [N, 3] rad/s."""
     gravity: np.ndarray
-    """[N, 3] direction of gravity, unit vector, base frame, with noise; (0, 0, -1) when level."""
+    """Direction of gravity, base frame, unit vector with noise, [N, 3]; (0, 0, -1) when level."""
     command: np.ndarray
-    """[N, 3]: v_x, v_y in m/s and omega_z in rad/s, base frame; on a course omega_z is the error of
-    the heading times `interface.TURN_GAIN`, at most `MAX_TURN` either way."""
+    """Twists v_x, v_y in m/s and omega_z in rad/s, base frame, [N, 3]. On a course omega_z is the
+    error of the heading times `interface.TURN_GAIN`, at most `MAX_TURN` either way."""
     joint_position: np.ndarray
-    """[N, 12] rad, not relative to a pose, with the encoders' zero errors."""
+    """Joint positions, not relative to a pose, with the encoders' zero errors, [N, 12] rad."""
     joint_velocity: np.ndarray
-    """[N, 12] rad/s, with noise."""
+    """Joint velocities with noise, [N, 12] rad/s."""
     depth: np.ndarray
-    """[N, 48, 64] m, at most 2, top row first; a new image every 0.1 s, unless the camera fails.
-    The field of view is 66 by 52 degrees, from the mount of the adapter's bundle: on the Go1 30, on
-    the Go2 23 degrees downward (`renet.camera.Intrinsics`, the robot's `MountCfg`)."""
+    """Depth images, at most 2 m, top row first, [N, 48, 64] m. There is a new image every 0.1 s,
+    unless the camera fails. The field of view is 66 by 52 degrees, from the mount of the adapter's
+    bundle: on the Go1 30, on the Go2 23 degrees downward (`renet.camera.Intrinsics`, the robot's
+    `MountCfg`)."""
     velocity: np.ndarray
-    """[N, 3] m/s, base frame: the simulator's true velocity, which no robot measures. Empty unless
+    """True velocity of the base, base frame, [N, 3] m/s, which no robot measures. Empty unless
     the adapter's `needs_velocity` is true."""
     feet_contact: np.ndarray
-    """[N, 4] bool: feet that touch the ground, in the order of `renet.interface.LEGS`, as feet with
-    sensors tell. Empty unless the adapter's `needs_feet_contact` is true."""
+    """True for feet that touch the ground, as feet with sensors tell, [N, 4] bool, in the order of
+    `renet.interface.LEGS`. Empty unless the adapter's `needs_feet_contact` is true."""
 
 
 class Adapter:
@@ -70,7 +71,7 @@ class Adapter:
         """Prepare to drive N robots.
 
         Args:
-            model: the user's file; raises RenetError if it does not fit this adapter.
+            model: The user's file; raises RenetError if it does not fit this adapter.
             num_robots: N.
         """
         self.model = model
@@ -80,7 +81,7 @@ class Adapter:
         """Clear the state of the masked robots, [N] bool."""
 
     def act(self, senses: Senses) -> np.ndarray:
-        """Joint targets, [N, 12] rad."""
+        """Return joint targets, [N, 12] rad."""
         raise NotImplementedError
 
 
@@ -103,5 +104,5 @@ class OffsetAdapter(Adapter):
         self._action[mask] = 0.0
 
     def _target(self) -> np.ndarray:
-        """Joint targets of the last action, [N, 12] rad, in the policy's joint order."""
+        """Return the joint targets of the last action, [N, 12] rad, in the policy's joint order."""
         return self.pose + self.action_scale * self._action

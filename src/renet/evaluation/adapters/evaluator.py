@@ -111,7 +111,7 @@ def _place(error: Exception, kind: type[Adapter]) -> str:
 
 
 def _act(adapter: Adapter, senses: Senses) -> np.ndarray:
-    """Joint targets of an adapter, [N, 12] rad; raises RenetError unless they can be used."""
+    """Run an adapter; returns joint targets, [N, 12] rad, or raises RenetError for unfit ones."""
     kind = type(adapter)
     with _adapter_errors(adapter.model, kind):
         target = np.asarray(adapter.act(senses), np.float32)
@@ -154,9 +154,9 @@ class AdaptedPolicy:
         """Act for one control step.
 
         Args:
-            proprioception: scaled readings, [N, 45].
-            depth: images in units of the depth range, [N, 48, 64].
-            op_mask: [N] bool, true where OP is to act; unused, for an adapter has one policy.
+            proprioception: Scaled readings, [N, 45].
+            depth: Images in units of the depth range, [N, 48, 64].
+            op_mask: True where OP is to act, [N] bool; unused, for an adapter has one policy.
 
         Returns:
             Actions in the study's units, [N, 12].
@@ -206,10 +206,10 @@ class AdaptedEvaluator(Evaluator):
         """Open a model; raises RenetError if it or the adapter cannot be used.
 
         Args:
-            path: file of the model.
-            adapter: name of an adapter, or a Python file, see `find_adapter`.
-            engine: auto, native or warp.
-            conditions: training, for the conditions of that bundle's task, or nominal.
+            path: File of the model.
+            adapter: Name of an adapter, or a Python file, see `find_adapter`.
+            engine: Auto, native or warp.
+            conditions: Training, for the conditions of that bundle's task, or nominal.
         """
         self.adapter = find_adapter(adapter)
         demand_name(f"adapter {adapter}: bundle", self.adapter.bundle, SHIPPED)
@@ -270,19 +270,19 @@ class AdaptedEvaluator(Evaluator):
         return AdaptedPolicy(self._make_adapter(num_robots), self)
 
     def velocity(self) -> np.ndarray:
-        """True velocity of the newest environment's robots, [N, 3] m/s; empty if not needed."""
+        """Return the true velocity in the newest environment, [N, 3] m/s; empty if unneeded."""
         if not self.adapter.needs_velocity:
             return np.zeros((0, 3))
         return self.env.observation["velocity"].numpy()
 
     def feet_contact(self) -> np.ndarray:
-        """Feet of the newest environment's robots on the ground, [N, 4] bool; empty if unneeded."""
+        """Return the feet on the ground in the newest environment, [N, 4] bool, if needed."""
         if not self.adapter.needs_feet_contact:
             return np.zeros((0, 4), bool)
         return self.env.feet_contact()
 
     def provenance(self, seed: int) -> Provenance:
-        """The provenance of numbers, with the name and the hash of the policy's file."""
+        """Return the provenance of numbers, with the name and the hash of the policy's file."""
         # The file stands in for a bundle's models and selector.
         digest = hashlib.sha256(read_bytes(self._path, MAX_POLICY_SIZE, "policy"))
         # The same file behind another adapter, or a changed one, is another policy.

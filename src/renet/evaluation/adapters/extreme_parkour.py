@@ -39,7 +39,7 @@ _CAMERA_VIEW = np.radians(87.0)
 
 
 def _weights(places: np.ndarray, size: int) -> np.ndarray:
-    """Linear interpolation of `size` values at places, in units of them: [places, size].
+    """Interpolate `size` values linearly at places, in units of them: weights [places, size].
 
     Beyond the first and the last value these are repeated.
     """
@@ -48,7 +48,7 @@ def _weights(places: np.ndarray, size: int) -> np.ndarray:
 
 
 def _image_places() -> tuple[np.ndarray, np.ndarray]:
-    """Rows [58] and columns [87] of our image, in pixels, that the policy's pixels show.
+    """Return the rows [58] and columns [87] of our image, in pixels, that the policy's pixels show.
 
     Its camera has 60 by 106 square pixels, of which the lowest two rows and four columns at either
     side are cut off, before the columns that are left are resized to 87.
@@ -98,7 +98,7 @@ class Adapter(base.OffsetAdapter):
             kept[mask] = 0
 
     def act(self, senses: base.Senses) -> np.ndarray:
-        """Joint targets, [N, 12] rad."""
+        """Return joint targets, [N, 12] rad."""
         observation = self._observe(senses)
         due = np.flatnonzero(self._age % _STEPS_PER_IMAGE == 0)
         if len(due):
@@ -119,7 +119,7 @@ class Adapter(base.OffsetAdapter):
         return self.pose + self.action_scale * self._action.clip(-largest, largest)
 
     def _observe(self, senses: base.Senses) -> np.ndarray:
-        """Observation of the robot itself with headings of zero, [N, 53]."""
+        """Observe the robot itself, with headings of zero, [N, 53]."""
         x, y, z = senses.gravity.T
         roll = np.arctan2(-y, -z)
         pitch = np.arcsin(np.clip(x, -1.0, 1.0))
@@ -143,7 +143,7 @@ class Adapter(base.OffsetAdapter):
         return np.concatenate(parts, axis=1).astype(np.float32)
 
     def _image(self, depth: np.ndarray) -> np.ndarray:
-        """The policy's images, [K, 58, 87] from -0.5 to 0.5, of ours, [K, 48, 64] m."""
+        """Convert our images, [K, 48, 64] m, to the policy's, [K, 58, 87] from -0.5 to 0.5."""
         image = self._row_weights @ depth @ self._column_weights.T
         return (image / DEPTH_RANGE - 0.5).astype(np.float32)
 

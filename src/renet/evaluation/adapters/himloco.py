@@ -37,7 +37,7 @@ class Adapter(base.OffsetAdapter):
         self._blank[mask] = True
 
     def act(self, senses: base.Senses) -> np.ndarray:
-        """Joint targets, [N, 12] rad."""
+        """Return joint targets, [N, 12] rad."""
         observation = np.concatenate(
             (
                 senses.command * _COMMAND_SCALE,

@@ -63,9 +63,9 @@ def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[i
     """Raise RenetError unless an ONNX policy has the inputs and outputs of a study.
 
     Args:
-        path: file of the policy, for the message.
-        nodes: inputs and outputs of its session, with N robots as their first dimension.
-        shapes: shapes needed for one robot, by name.
+        path: File of the policy, for the message.
+        nodes: Inputs and outputs of its session, with N robots as their first dimension.
+        shapes: Shapes needed for one robot, by name.
     """
     batched = True
     row_shapes = {}
@@ -86,18 +86,18 @@ def demand_shapes(path: Path, nodes: Sequence[Any], shapes: Mapping[str, tuple[i
 
 
 def _line(error: Exception, number: int) -> str:
-    """A line of an error's message, at most 160 characters; its type if it has no message.
+    """Return a line of an error's message, at most 160 characters; its type if it has none.
 
     Args:
-        error: the error.
-        number: number of the line, 0 for the first and -1 for the last.
+        error: The error.
+        number: Number of the line, 0 for the first and -1 for the last.
     """
     text = str(error).strip() or type(error).__name__
     return printable(shorten(text.splitlines()[number], 160, placeholder=" …"))
 
 
 def _shapes(arrays: Sequence[np.ndarray]) -> str:
-    """Shapes of arrays in words."""
+    """List the shapes of arrays in words."""
     return ", ".join(str(list(array.shape)) for array in arrays)
 
 
@@ -162,7 +162,7 @@ class TorchScriptModel:
         self._module(0)
 
     def _module(self, robot: int) -> Any:
-        """The robot's copy; raises RenetError if the file is no TorchScript module."""
+        """Return the robot's copy; raises RenetError if the file is no TorchScript module."""
         if robot not in self._modules:
             try:
                 with warnings.catch_warnings(action="ignore"):
@@ -215,7 +215,7 @@ def _kind(path: Path) -> str:
 
 
 def _tensors(outputs: Any) -> list[Any]:
-    """Tensors of nested tuples and lists, in their order, without anything else in them."""
+    """List the tensors in nested tuples and lists, in their order, without anything else."""
     if not isinstance(outputs, (tuple, list)):
         return [outputs] if hasattr(outputs, "numpy") else []
     tensors = []
@@ -225,7 +225,7 @@ def _tensors(outputs: Any) -> list[Any]:
 
 
 def _method_error(name: str, method: str) -> MisfitError:
-    """Error for a model that lacks a method of the adapter's."""
+    """Make the error for a model that lacks a method of the adapter's."""
     return MisfitError(
         f"{name} has no method {method}, which the adapter needs: make the file as"
         " docs/benchmark.md says"
@@ -233,7 +233,7 @@ def _method_error(name: str, method: str) -> MisfitError:
 
 
 def _input_error(name: str, inputs: Sequence[np.ndarray], error: Exception) -> MisfitError:
-    """Error for a model that does not take the adapter's inputs."""
+    """Make the error for a model that does not take the adapter's inputs."""
     # TorchScript's traceback begins with the place and ends with the reason.
     reason = _line(error, -1)
     return MisfitError(f"{name} does not take inputs of shapes {_shapes(inputs)}: {reason}")

@@ -26,7 +26,7 @@ class Adapter(base.OffsetAdapter):
         self.action_scale = robot.action_scale
 
     def act(self, senses: base.Senses) -> np.ndarray:
-        """Joint targets, [N, 12] rad."""
+        """Return joint targets, [N, 12] rad."""
         parts = {
             "base_angular_velocity": senses.angular_velocity,
             "projected_gravity": senses.gravity,

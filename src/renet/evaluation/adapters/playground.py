@@ -21,7 +21,7 @@ class Adapter(base.OffsetAdapter):
     action_scale = 0.5
 
     def act(self, senses: base.Senses) -> np.ndarray:
-        """Joint targets, [N, 12] rad."""
+        """Return joint targets, [N, 12] rad."""
         # Joints are in renet's own order.
         observation = np.concatenate(
             (

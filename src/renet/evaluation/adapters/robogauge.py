@@ -29,7 +29,7 @@ class Adapter(base.OffsetAdapter):
             self.model.reset(robot)
 
     def act(self, senses: base.Senses) -> np.ndarray:
-        """Joint targets, [N, 12] rad."""
+        """Return joint targets, [N, 12] rad."""
         observation = np.concatenate(
             (
                 senses.angular_velocity * 0.25,

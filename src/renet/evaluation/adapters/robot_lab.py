@@ -19,7 +19,7 @@ class Adapter(base.OffsetAdapter):
     action_scale = np.array((0.125, 0.25, 0.25) * 4, np.float32)
 
     def act(self, senses: base.Senses) -> np.ndarray:
-        """Joint targets, [N, 12] rad."""
+        """Return joint targets, [N, 12] rad."""
         # Joints are in renet's own order.
         observation = np.concatenate(
             (

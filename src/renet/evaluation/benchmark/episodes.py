@@ -105,7 +105,7 @@ class Episode:
         return 2.0 * (way + 1.0) / self.speed + self.stop_seconds + 3.0
 
     def record(self) -> dict[str, Any]:
-        """The episode as a dictionary for JSON."""
+        """Return the episode as a dictionary for JSON."""
         return vars(self) | {"obstacles": [obstacle.record() for obstacle in self.obstacles]}
 
 
@@ -115,9 +115,9 @@ def draw_episodes(
     """Draw the episodes of a range of numbers.
 
     Args:
-        numbers: numbers of the episodes; those from `EPISODES` on have sealed faults.
-        seed: seed of the draw.
-        sealed: the sealed families; raises ValueError if they are needed and missing.
+        numbers: Numbers of the episodes; those from `EPISODES` on have sealed faults.
+        seed: Seed of the draw.
+        sealed: The sealed families; raises ValueError if they are needed and missing.
     """
     return [draw_episode(number, seed, sealed) for number in numbers]
 
@@ -165,7 +165,7 @@ def draw_episode(number: int, seed: int = SEED, sealed: SealedFaults | None = No
 
 
 def _families(number: int, sealed: SealedFaults | None) -> tuple[Families, bool]:
-    """Families that an episode's fault is drawn from, and True if they are lies.
+    """Return the families that an episode's fault is drawn from, and True if they are lies.
 
     Every second episode draws a lie, and every sealed one.
     """

@@ -60,7 +60,7 @@ _MAX_SEALED_SIZE = 100_000
 
 
 def level_at(fault: type[Fault], severity: int) -> float:
-    """Level of a fault at a severity."""
+    """Return the level of a fault at a severity."""
     # The duration is the episode's: a fault whose level is its duration goes on until then.
     return FOREVER if fault.level_is_duration else fault.level_of(severity)
 

@@ -96,7 +96,7 @@ def make_leaderboard(cfg: LeaderboardCfg) -> Path:
 
 
 def entries_of(results: Sequence[Result]) -> list[LeaderboardEntry]:
-    """Entries of result files in the files' order, the trainings of one method joined.
+    """Return the entries of result files in the files' order, the trainings of a method joined.
 
     Raises RenetError if two results of a method's entry are of the same policy.
     """
@@ -122,7 +122,7 @@ def entries_of(results: Sequence[Result]) -> list[LeaderboardEntry]:
 
 
 def rank_entries(results: Sequence[Result]) -> list[LeaderboardEntry]:
-    """Entries of result files, best first.
+    """Sort the entries of result files, best first.
 
     Raises RenetError as `entries_of`, or if their episodes differ.
     """
@@ -132,7 +132,7 @@ def rank_entries(results: Sequence[Result]) -> list[LeaderboardEntry]:
 
 
 def ranking(results: Sequence[Result]) -> Table:
-    """Table of the entries, best first, with shares in per cent.
+    """Tabulate the entries, best first, with shares in per cent.
 
     The last column is the difference in points to the first entry of the first file, with a 95 %
     interval over paired episodes. Raises as `rank_entries`.
@@ -149,14 +149,14 @@ def ranking(results: Sequence[Result]) -> Table:
 
 
 def _episodes(result: Result) -> str:
-    """A result's episodes and their number, in words."""
+    """Say in words which episodes a result has, and how many."""
     count = len(rows_of_entry(result, next(iter(result["scores"]))))
     words = {"full": f"all {count} episodes", "sealed": f"{count} sealed episodes"}
     return words.get(result["episodes"], f"first {count} of {EPISODES} episodes")
 
 
 def _line(place: int, entry: LeaderboardEntry, reference: LeaderboardEntry) -> tuple[str, ...]:
-    """Row of the ranking for an entry at a place, compared with a reference."""
+    """Format the ranking's row of an entry at a place, compared with a reference."""
     low, high, over = entry.interval
     # The reference has no difference to itself.
     difference = "-"
@@ -177,12 +177,12 @@ def _line(place: int, entry: LeaderboardEntry, reference: LeaderboardEntry) -> t
 
 
 def _interval(low: float, high: float, digits: str) -> str:
-    """An interval in words; one without width, as of a bootstrap of equal numbers, is none."""
+    """Say an interval in words; equal ends, as of a bootstrap of equal numbers, are none."""
     return "all alike" if low == high else f"{low:{digits}} to {high:{digits}}"
 
 
 def measures(results: Sequence[Result]) -> Table:
-    """Table of the entries' other measures, in the ranking's order, with shares in per cent."""
+    """Tabulate the entries' other measures, in the ranking's order, with shares in per cent."""
     rows = []
     entries = rank_entries(results)
     for entry in entries:
@@ -203,7 +203,7 @@ def measures(results: Sequence[Result]) -> Table:
 
 
 def counts(result: Result) -> Table:
-    """Table of obstacles and episodes, each of how many, by entry; intervals are in per cent."""
+    """Tabulate obstacles and episodes, each of how many, by entry; intervals are in per cent."""
     rows = []
     for entry in result["scores"]:
         episodes = rows_of_entry(result, entry)
@@ -219,7 +219,7 @@ def counts(result: Result) -> Table:
 
 
 def _mean_rows(entry: LeaderboardEntry) -> list[dict[str, Any]]:
-    """One row for each episode, with the obstacles crossed averaged over the trainings."""
+    """Average the obstacles crossed over the trainings; returns a row for each episode."""
     means = []
     for rows in zip(*entry.trainings, strict=True):
         crossed = np.mean(column(rows, "crossed"))
@@ -228,7 +228,7 @@ def _mean_rows(entry: LeaderboardEntry) -> list[dict[str, Any]]:
 
 
 def family_table(result: Result) -> Table:
-    """Table of the obstacles crossed under each family of faults, in per cent, by entry."""
+    """Tabulate the obstacles crossed under each family of faults, in per cent, by entry."""
     scores = {entry: by_family(rows_of_entry(result, entry)) for entry in result["scores"]}
     # All entries walk the same episodes.
     first = next(iter(scores.values()))

@@ -32,9 +32,9 @@ def make_result(summary: Mapping[str, Any], method: str, episodes: str) -> dict[
     """Build the content of a result file.
 
     Args:
-        summary: summary of a `BenchmarkStudy`.
-        method: name of the method that the policy is a training of.
-        episodes: the set of episodes that was walked, a key of `SETS`. Other words are only good
+        summary: Summary of a `BenchmarkStudy`.
+        method: Name of the method that the policy is a training of.
+        episodes: The set of episodes that was walked, a key of `SETS`. Other words are only good
             for tables, because `read_result` refuses them.
     """
     origin = summary["provenance"]
@@ -59,7 +59,7 @@ def make_result(summary: Mapping[str, Any], method: str, episodes: str) -> dict[
 
 @cache
 def _validator() -> Draft202012Validator:
-    """Validator of the schema of result files."""
+    """Make the validator of the schema of result files."""
     # Only whoever reads results needs it: neither a study nor its --help.
     from jsonschema import Draft202012Validator
 
@@ -92,5 +92,5 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def rows_of_entry(result: Mapping[str, Any], entry: str) -> Sequence[EpisodeRow]:
-    """Rows of one entry of a result file."""
+    """Return the rows of one entry of a result file."""
     return select(result["rows"], entry=entry)

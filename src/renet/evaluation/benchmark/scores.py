@@ -28,7 +28,7 @@ LEAST_TRAININGS = 3
 
 
 def rows_of(walks: Mapping[str, Walk], episodes: Sequence[Episode]) -> list[EpisodeRow]:
-    """A row for every episode of every entry; `walks` are by entry, each [N] episodes."""
+    """Make a row for every episode of every entry; `walks` are by entry, each [N] episodes."""
     rows = []
     for entry, walk in walks.items():
         for place, episode in enumerate(episodes):
@@ -48,12 +48,12 @@ def rows_of(walks: Mapping[str, Walk], episodes: Sequence[Episode]) -> list[Epis
 
 
 def crossed_shares(rows: Sequence[EpisodeRow]) -> np.ndarray:
-    """Share of each row's obstacles that was crossed, [rows]."""
+    """Return the share of each row's obstacles that was crossed, [rows]."""
     return np.array(column(rows, "crossed")) / np.array(column(rows, "obstacles"))
 
 
 def score_interval(crossed: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the mean of shares [n], one for each episode; n > 0.
+    """Compute the 95 % interval of the mean of shares [n], one for each episode; n > 0.
 
     It is bootstrapped, unless every share is 0 or every share is 1, as for a policy that cannot
     walk in any of a few episodes. All resamples are equal then, and a bootstrap interval would have
@@ -66,7 +66,7 @@ def score_interval(crossed: np.ndarray) -> tuple[float, float]:
 
 
 def score_rows(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
-    """Scores of one entry from its rows.
+    """Compute the scores of one entry from its rows.
 
     Returns:
         By name: `score`, the mean share of the obstacles crossed over episodes, with the
@@ -100,12 +100,12 @@ def score_rows(rows: Sequence[EpisodeRow]) -> dict[str, Any]:
 
 
 def _mean(values: Sequence[float] | np.ndarray) -> float | None:
-    """Mean, or None without any value."""
+    """Return the mean, or None without any value."""
     return float(np.mean(values)) if len(values) else None
 
 
 def by_family(rows: Sequence[EpisodeRow]) -> dict[str, dict[str, Any]]:
-    """Share of obstacles crossed, and the number of episodes, by family of faults."""
+    """Return the share of obstacles crossed, and the number of episodes, by family of faults."""
     scores = {}
     for (family,), group in group_by(rows, "family").items():
         share = float(crossed_shares(group).mean())
@@ -114,11 +114,11 @@ def by_family(rows: Sequence[EpisodeRow]) -> dict[str, dict[str, Any]]:
 
 
 def lead(rows: Sequence[EpisodeRow], others: Sequence[EpisodeRow]) -> tuple[float, float, float]:
-    """Lead of one entry over another in the share crossed.
+    """Compute the lead of one entry over another in the share crossed.
 
     Args:
-        rows: rows of the one.
-        others: rows of the other, of the same episodes in the same order.
+        rows: Rows of the one.
+        others: Rows of the other, of the same episodes in the same order.
 
     Returns:
         Mean, and low and high end of the 95 % interval, over paired episodes.
@@ -129,7 +129,7 @@ def lead(rows: Sequence[EpisodeRow], others: Sequence[EpisodeRow]) -> tuple[floa
 
 
 def interval_over_trainings(means: Sequence[float]) -> tuple[float, float]:
-    """Student's 95 % interval of the mean score of several trainings."""
+    """Compute Student's 95 % interval of the mean score of several trainings."""
     # Few trainings: the normal distribution's interval would be too narrow.
     values = np.array(means)
     half = scipy.stats.t.ppf(0.975, len(values) - 1) * scipy.stats.sem(values)

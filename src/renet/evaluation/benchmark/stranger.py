@@ -15,7 +15,7 @@ _GROWTH = 1.1
 
 
 def stranger(robot: Robot, factor: float = _GROWTH) -> Robot:
-    """A robot with every length multiplied by a factor; density, motors and gains stay."""
+    """Return a robot with every length multiplied by a factor; density, motors and gains stay."""
 
     def spec() -> mujoco.MjSpec:
         return grow(load_robot_model(robot), factor)

@@ -105,7 +105,7 @@ class BenchmarkStudy(Study, PolicyOptions):
             raise RenetError("give --episodes without --quick and --sealed")
 
     def _changed(self, names: Sequence[str]) -> str:
-        """Options among these settings that are not at their defaults, in words."""
+        """Name the options among these settings that are not at their defaults, in words."""
         defaults = {field.name: field.default for field in fields(self)}
         options = []
         for name in names:
@@ -123,7 +123,7 @@ class BenchmarkStudy(Study, PolicyOptions):
         return evaluator
 
     def modes(self, evaluator: Evaluator) -> dict[str, str]:
-        """The rollout's mode of each entry to walk, by the entry's name.
+        """Return the rollout's mode of each entry to walk, by the entry's name.
 
         The evaluator of another project's policy names its own in `entries`. Raises RenetError for
         an entry that the policy does not have.
@@ -149,7 +149,7 @@ class BenchmarkStudy(Study, PolicyOptions):
         return "quick" if self.quick else "full"
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One part for each block of ten episodes."""
+        """Return one part for each block of ten episodes."""
         numbers = SETS[self.episode_set] if self.episodes is None else range(self.episodes)
         parts = {}
         for first in range(numbers.start, numbers.stop, EPISODES_PER_BLOCK):
@@ -170,7 +170,7 @@ class BenchmarkStudy(Study, PolicyOptions):
         return {"rows": rows_of(walks, episodes)}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """A row for every episode of every entry, and the entries' scores."""
+        """Return a row for every episode of every entry, and the entries' scores."""
         rows: list[EpisodeRow] = []
         for part in parts.values():
             rows += part["rows"]
@@ -192,12 +192,12 @@ class BenchmarkStudy(Study, PolicyOptions):
         return summary
 
     def _result(self, summary: Mapping[str, Any]) -> dict[str, Any]:
-        """Content of the result file."""
+        """Build the content of the result file."""
         method = self.method or summary["provenance"]["bundle"]
         return make_result(summary, method, self.episode_set)
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The scores, the other measures, counts, and the scores under each family of faults."""
+        """Tabulate scores, other measures, counts, and the scores under each family of faults."""
         result = self._result(summary)
         return [ranking([result]), measures([result]), counts(result), family_table(result)]
 

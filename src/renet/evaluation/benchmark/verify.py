@@ -21,7 +21,7 @@ it."""
 
 
 def chosen_block(result: dict[str, Any]) -> int:
-    """First number of the block to walk again, chosen by a hash of the whole result."""
+    """Choose the block to walk again by a hash of the whole result; returns its first number."""
     numbers = SETS[result["episodes"]]
     digest = hashlib.sha256(repr(result["rows"]).encode()).digest()
     blocks = range(numbers.start, numbers.stop, EPISODES_PER_BLOCK)
@@ -34,11 +34,11 @@ def check_origin(
     """Raise RenetError unless a policy can walk episodes of a result again.
 
     Args:
-        result: content of the result file.
-        path: the file, for the message.
-        sha256: hash of the policy.
+        result: Content of the result file.
+        path: The file, for the message.
+        sha256: Hash of the policy.
         sealed: True if the sealed families are at hand.
-        entries: entries that the policy walks as.
+        entries: Entries that the policy walks as.
     """
     if sha256 != result["policy"]["sha256"]:
         raise RenetError(
@@ -59,9 +59,9 @@ def compare(result: dict[str, Any], path: Path, rows: Sequence[EpisodeRow]) -> s
     """Compare a result with the same walks made again; returns a sentence with those that agree.
 
     Args:
-        result: content of the result file.
-        path: the file, for the sentence.
-        rows: rows of a block of its episodes; entries that the result lacks do not count. Raises
+        result: Content of the result file.
+        path: The file, for the sentence.
+        rows: Rows of a block of its episodes; entries that the result lacks do not count. Raises
             RenetError if too many of the others differ.
     """
     made_again = {(row["entry"], row["episode"]): row for row in rows}

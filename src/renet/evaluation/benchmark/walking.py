@@ -48,7 +48,7 @@ _FIRST_SPEED = 0.5
 
 
 def course_env_cfg(courses: dict[str, Course], robot: Robot) -> RenetEnvCfg:
-    """Task of courses side by side, by name, with the robots, sensors and pushes of training.
+    """Make a task of courses side by side, by name, with training's robots, sensors and pushes.
 
     The ranges come from the training recipe at the time when version 3 was frozen, and from motors
     measured on real robots.
@@ -84,9 +84,9 @@ class Walk:
     crossed: np.ndarray
     """Number of obstacles behind the robot."""
     fell: np.ndarray
-    """bool: the robot fell."""
+    """True if the robot fell, bool."""
     arrived: np.ndarray
-    """bool: the robot reached the end of the course."""
+    """True if the robot reached the end of the course, bool."""
     seconds: np.ndarray
     """Time until the episode was over, s."""
     metres: np.ndarray
@@ -100,7 +100,7 @@ class Walk:
 
     @classmethod
     def at_start(cls, count: int) -> Walk:
-        """The measures of robots that have not moved yet."""
+        """Return the measures of robots that have not moved yet."""
         types = {"crossed": int, "fell": bool, "arrived": bool}
         zeros = {}
         for field in fields(cls):
@@ -117,7 +117,7 @@ class Walk:
         return cls(**columns)
 
     def rows(self, places: np.ndarray) -> Walk:
-        """The measures of some robots, by their places."""
+        """Select the measures of some robots, by their places."""
         return Walk(**{name: values[places] for name, values in vars(self).items()})
 
 
@@ -183,9 +183,9 @@ class CourseEnv:
         """Add a control step to the walk of robots whose episode is not over.
 
         Args:
-            result: readings after the step.
-            fell: robots that fell in it, [N] bool.
-            speed_error: absolute error of their speed, [N] m/s.
+            result: Readings after the step.
+            fell: Robots that fell in it, [N] bool.
+            speed_error: Absolute error of their speed, [N] m/s.
         """
         walk = self.walk
         live = ~self._over
@@ -205,21 +205,21 @@ class CourseEnv:
         walk.speed_error = self._error_sum / np.maximum(walk.seconds, CONTROL_DT)
 
     def _walking_height(self, position: np.ndarray) -> np.ndarray:
-        """Height of the line on which feet walk at each robot's position, [N] m."""
+        """Return the height of the line on which feet walk at each robot's position, [N] m."""
         heights = []
         for course, x in zip(self._courses, position, strict=True):
             heights.append(course.walking_height(x))
         return np.array(heights)
 
     def _place(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position along the course, offset to the left, and height above the start, [N] m each."""
+        """Return place along the course, offset to the left and height above the start, [N] m."""
         env = self._inner.env
         place = env.scene["robot"].data.root_link_pos_w - env.scene.env_origins
         along, aside, height = place.numpy().astype(float).T
         return along, aside, height
 
     def _torque(self) -> np.ndarray:
-        """Largest torque of any motor in the last physics step, [N] N m."""
+        """Return the largest torque of any motor in the last physics step, [N] N m."""
         data = self._inner.env.scene["robot"].data
         return data.qfrc_actuator.abs().amax(-1).numpy()
 
@@ -241,7 +241,7 @@ class CourseEnv:
 
 
 def _values(episodes: Sequence[Episode], name: str) -> np.ndarray:
-    """A property of each episode, [N] or [N, 2]."""
+    """Return a property of each episode, [N] or [N, 2]."""
     return np.array([getattr(episode, name) for episode in episodes])
 
 
@@ -261,11 +261,11 @@ class PlacedFaults:
         """Set up the faults.
 
         Args:
-            env: environment of N robots.
-            episodes: the episode whose fault each camera has, [N]; None for a healthy camera.
-            seed: seed of the faults' randomness, together with the episode's number, so that twins
+            env: Environment of N robots.
+            episodes: The episode whose fault each camera has, [N]; None for a healthy camera.
+            seed: Seed of the faults' randomness, together with the episode's number, so that twins
                 have the same.
-            sealed: the sealed families, if episodes have faults of theirs.
+            sealed: The sealed families, if episodes have faults of theirs.
         """
         self._env = env
         self._faults: list[tuple[int, Fault]] = []
@@ -286,18 +286,18 @@ class PlacedFaults:
             self._duration[row] = min(episode.duration, fault.lasts(episode.level))
 
     def _elapsed(self, step: int) -> np.ndarray:
-        """Time since each camera began to fail, [N] s; -1 where it does not fail."""
+        """Return the time since each camera began to fail, [N] s; -1 where it does not fail."""
         begins = (self._began < 0) & (self._env.farthest >= self._onset)
         self._began[begins] = step
         time = (step - self._began) * CONTROL_DT
         return np.where((self._began >= 0) & (time < self._duration), time, -1.0)
 
     def at_work(self, step: int) -> np.ndarray:
-        """[N] bool: robots whose camera fails at a control step."""
+        """Return a mask of the robots whose camera fails at a control step, [N] bool."""
         return self._elapsed(step) >= 0.0
 
     def perturbation(self, step: int) -> ViewPerturbation:
-        """Perturbation of the cameras' view of the scene at a control step."""
+        """Return the perturbation of the cameras' view of the scene at a control step."""
         view = ViewPerturbation.none(len(self._began))
         elapsed = self._elapsed(step)
         for row, fault in self._faults:
@@ -309,9 +309,9 @@ class PlacedFaults:
         """Apply the faults to frames; called once in each vision tick.
 
         Args:
-            frames: frames of all robots.
-            step: control step.
-            spared: [N] bool, robots whose frames are not used any more.
+            frames: Frames of all robots.
+            step: Control step.
+            spared: Mask of the robots whose frames are no longer used, [N] bool.
 
         Returns:
             A copy of the frames with the faults.
@@ -340,12 +340,12 @@ def walk_episodes(
     """Walk a block of episodes, those of strangers after the others.
 
     Args:
-        evaluator: evaluator of the policy.
-        episodes: episodes of the block, [N].
-        modes: the rollout's mode of each entry, by the entry's name; `HEALTHY` meets no fault.
-        seed: seed of bodies, starts, noise and pushes.
-        title: title of the progress.
-        sealed: the sealed families, if episodes have faults of theirs.
+        evaluator: Evaluator of the policy.
+        episodes: Episodes of the block, [N].
+        modes: The rollout's mode of each entry, by the entry's name; `HEALTHY` meets no fault.
+        seed: Seed of bodies, starts, noise and pushes.
+        title: Title of the progress.
+        sealed: The sealed families, if episodes have faults of theirs.
 
     Returns:
         Measures by the entries' names, each with a row for every episode.

@@ -64,7 +64,7 @@ class BackingStudy(WalkingStudy):
             raise RenetError(f"from-edge {self.from_edge:g} m is not on the ground before the edge")
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One batch for each kind of tile."""
+        """Return one batch for each kind of tile."""
         return {kind: partial(self._back_out, evaluator, kind) for kind in self.kinds}
 
     def _back_out(self, evaluator: Evaluator, kind: Edge) -> Part:
@@ -105,7 +105,7 @@ class BackingStudy(WalkingStudy):
         return {"runs": runs}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The rows."""
+        """Tabulate the rows."""
         header = ("edge", "size (cm)", "mode", "backed out", "fell before")
         rows = []
         for run in summary["runs"]:
@@ -116,15 +116,15 @@ class BackingStudy(WalkingStudy):
 
 
 def outcomes(positions: np.ndarray, ended: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Outcome of each robot's first try.
+    """Find the outcome of each robot's first try.
 
     Args:
-        positions: places along the robots' headings after each control step, [T, N] m.
+        positions: Places along the robots' headings after each control step, [T, N] m.
         ended: True where an episode ended in that step, [T, N] bool.
 
     Returns:
-        [N] bool, the robot went far enough before its episode ended; [N] bool, its episode ended
-        first.
+        Masks of the robots that went far enough before their episodes ended, and of those whose
+        episodes ended first, [N] bool each.
     """
     over = np.logical_or.accumulate(ended, axis=0)
     backed = np.any((positions[0] - positions >= _DISTANCE) & ~over, axis=0)

@@ -51,10 +51,10 @@ class ShownImages:
         """Wrap an environment.
 
         Args:
-            env: environment of N robots: for each ground, groups of `each` robots in the order of
+            env: Environment of N robots: for each ground, groups of `each` robots in the order of
                 `VIEWS`.
-            views: view of each robot, [N].
-            each: number of robots of a view.
+            views: View of each robot, [N].
+            each: Number of robots of a view.
         """
         self._env = env
         self._views = np.array(views)
@@ -142,7 +142,7 @@ class CameraUseStudy(LevelStudy):
         return part
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """One row for each ground and view, the totals over all grounds, and the sentence."""
+        """Return a row for each ground and view, the totals over all grounds, and the sentence."""
         grounds = self.by_ground(parts)
         runs = []
         for ground, part in grounds.items():
@@ -160,7 +160,7 @@ class CameraUseStudy(LevelStudy):
         return {"runs": runs, "total": total, "sentence": sentence(total, runs)}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure camera_use.png: shares that cross, by view, with a panel for each ground."""
+        """Draw camera_use.png: shares that cross, by view, with a panel for each ground."""
         panels = {}
         for (ground,), runs in group_by(summary["runs"], "ground").items():
             panels[ground.replace("_", " ")] = runs
@@ -169,7 +169,7 @@ class CameraUseStudy(LevelStudy):
         return {"camera_use.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Robots that cross each ground, and robots that leave their twins' way, by view."""
+        """Tabulate robots that cross each ground, and that leave their twins' way, by view."""
         crossed = {(run["ground"], run["view"]): run["crossed"] for run in summary["runs"]}
         rows: list[tuple[Any, ...]] = []
         for ground in self.grounds:
@@ -180,11 +180,11 @@ class CameraUseStudy(LevelStudy):
 
 
 def compare_with_twins(part: Mapping[str, Mapping[str, Any]], view: str) -> dict[str, Any]:
-    """Robots that cross in a view, and how they compare with their healthy twins.
+    """Compare the robots of a view with their healthy twins.
 
     Args:
         part: `crossed` and `parted`, [N] bool, of each view.
-        view: one of `VIEWS`.
+        view: One of `VIEWS`.
 
     Returns:
         Counts, the mean change from the twins with its 95 % interval over robots, and `p`, the
@@ -206,11 +206,11 @@ def compare_with_twins(part: Mapping[str, Mapping[str, Any]], view: str) -> dict
 
 
 def sentence(total: Mapping[str, Mapping[str, Any]], runs: Sequence[Mapping[str, Any]]) -> str:
-    """Result of a study as a sentence.
+    """Say the result of a study in a sentence.
 
     Args:
-        total: comparison of each view over all grounds, see `compare_with_twins`.
-        runs: the same for each ground and view.
+        total: Comparison of each view over all grounds, see `compare_with_twins`.
+        runs: The same for each ground and view.
     """
     views = [view for view in VIEWS if view not in ("healthy", "control")]
     # Bonferroni's correction for the number of views.
@@ -239,7 +239,7 @@ def sentence(total: Mapping[str, Mapping[str, Any]], runs: Sequence[Mapping[str,
 def _views_that_part(
     total: Mapping[str, Mapping[str, Any]], views: Sequence[str], limit: float
 ) -> list[str]:
-    """Views whose robots leave their twins' way significantly more often than the control's."""
+    """List views whose robots leave their twins' way significantly more than the control's."""
     robots = total["healthy"]["robots"]
     control = total["control"]["parted"]
     different = []
@@ -252,7 +252,7 @@ def _views_that_part(
 
 
 def _grounds_beyond_chance(runs: Sequence[Mapping[str, Any]], view: str, num_views: int) -> str:
-    """Grounds on which a view alone changes crossings significantly, as words."""
+    """Name the grounds on which a view alone changes crossings significantly."""
     limit = _SIGNIFICANCE / (num_views * len(set(column(runs, "ground"))))
     grounds = []
     for run in select(runs, view=view):

@@ -78,7 +78,7 @@ class CommandStudy(WalkingStudy):
         return list(product(self.modes, TWISTS))
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One part: all robots of every command and mode, side by side."""
+        """Return one part: all robots of every command and mode, side by side."""
         return {"runs": partial(self._follow, evaluator)}
 
     def _follow(self, evaluator: Evaluator) -> Part:
@@ -118,11 +118,11 @@ class CommandStudy(WalkingStudy):
         return {"runs": runs}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure commands.png: velocities asked for and done."""
+        """Draw commands.png: velocities asked for and done."""
         return {"commands.png": asked_and_done(summary["runs"], self.modes)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """One row for each command and mode."""
+        """Tabulate one row for each command and mode."""
         header = ("mode", "asked", "done", "fell", "drift", "W", "N m")
         rows = []
         for run in summary["runs"]:
@@ -138,12 +138,12 @@ class CommandStudy(WalkingStudy):
 
 
 def summary_of(motions: list[Motion], robots: np.ndarray, command: np.ndarray) -> dict[str, Any]:
-    """Measures of robots that follow one command, by name; None if all of them fell.
+    """Measure robots that follow one command, by name; None if all of them fell.
 
     Args:
-        motions: motion of all robots at each control step.
-        robots: rows of the robots that count.
-        command: the twist, [3].
+        motions: Motion of all robots at each control step.
+        robots: Rows of the robots that count.
+        command: The twist, [3].
     """
     if not len(robots):
         return dict.fromkeys(_MEASURES)
@@ -162,16 +162,16 @@ def summary_of(motions: list[Motion], robots: np.ndarray, command: np.ndarray) -
 
 
 def _over_time(motions: list[Motion], name: str, robots: np.ndarray) -> np.ndarray:
-    """A quantity of some robots at all control steps, [T, n, ...]."""
+    """Stack a quantity of some robots at all control steps, [T, n, ...]."""
     return np.stack([getattr(motion, name)[robots] for motion in motions])
 
 
 def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
-    """Mean distance by which robots leave their straight way, m in 5 m.
+    """Compute the mean distance by which robots leave their straight way, m in 5 m.
 
     Args:
-        positions: [T, N, 2] m, in a frame at each robot's start, x along the commanded heading.
-        command: the twist, [3].
+        positions: Positions in a frame at the start, x along the commanded heading, [T, N, 2] m.
+        command: The twist, [3].
 
     Returns:
         The drift; None for a twist that turns or stands, and for robots that did not walk.
@@ -190,7 +190,7 @@ def drift(positions: np.ndarray, command: np.ndarray) -> float | None:
 
 
 def asked_and_done(runs: list[dict[str, Any]], modes: tuple[str, ...]) -> Figure:
-    """Figure of the velocities and turn rates asked for, as rings, and done, as dots."""
+    """Draw the velocities and turn rates asked for, as rings, and done, as dots."""
     figure, (plane, turns) = plt.subplots(1, 2, figsize=(figures.FIGURE_WIDTH, 3.6))
     for mode in modes:
         mine = [run for run in select(runs, mode=mode) if run["done"] is not None]

@@ -28,19 +28,19 @@ BLINDING_FAULTS = {"frozen": ("frozen",), "uniform": ("blackout", "saturated", "
 
 
 def setting_of(run: dict[str, Any]) -> Setting:
-    """Setting of a row."""
+    """Return the setting of a row."""
     return Setting(run["ground"], run["onset"], run["fault"], run["severity"])
 
 
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
-    """Findings of a summary: `harmful` and `missed` settings, and `claims`.
+    """Find `harmful` and `missed` settings in a summary's rows, and judge its `claims`.
 
     A claim is a row with its text in `claim`, `met`, a bool, and the numbers in `measured`.
 
     Args:
-        runs: rows with their pairs, see `fault_metrics`.
-        baseline: rows of the same grounds without faults.
-        healthy: false switches and robot hours.
+        runs: Rows with their pairs, see `fault_metrics`.
+        baseline: Rows of the same grounds without faults.
+        healthy: False switches and robot hours.
     """
     harm = harmful(runs, baseline)
     misses = missed(runs, baseline)
@@ -66,7 +66,7 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
 
 
 def harmful(runs: Runs, baseline: Runs) -> Runs:
-    """Settings in which robots survive less often in mode memory than in mode blind.
+    """List settings in which robots survive less often in mode memory than in mode blind.
 
     Significance is judged for each fault on each ground, over all severities and onsets.
     """
@@ -88,7 +88,7 @@ def harmful(runs: Runs, baseline: Runs) -> Runs:
 
 
 def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, Any]]:
-    """Rows of mode camera, by setting, in which more robots fall than of their healthy twins.
+    """Return mode camera's rows, by setting, in which more robots fall than of their healthy twins.
 
     `beyond_chance` is judged over all severe settings of the fault on the ground, or over its mild
     ones if it has no severe ones.
@@ -106,7 +106,7 @@ def settings_vp_falls_in(runs: Runs, baseline: Runs) -> dict[Setting, dict[str, 
 
 
 def missed(runs: Runs, baseline: Runs) -> Runs:
-    """Settings that make mode camera fall and that not every robot in mode memory notices."""
+    """List settings that make mode camera fall and that not every robot in mode memory notices."""
     camera_rows = settings_vp_falls_in(runs, baseline)
     rows = []
     for run in select(runs, mode="memory"):
@@ -127,13 +127,13 @@ def missed(runs: Runs, baseline: Runs) -> Runs:
 
 
 def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set[tuple[Any, ...]]:
-    """Grounds and faults under which a mode falls significantly more than a mode without faults.
+    """List grounds and faults under which a mode falls significantly more than one without faults.
 
     Args:
-        runs: rows under faults.
-        baseline: rows without faults.
-        mode: mode under faults.
-        reference: mode without faults.
+        runs: Rows under faults.
+        baseline: Rows without faults.
+        mode: Mode under faults.
+        reference: Mode without faults.
     """
     usual = group_by(select(baseline, mode=reference), "ground")
     groups = group_by(select(runs, mode=mode), "ground", "fault")
@@ -150,14 +150,14 @@ def _beyond_chance(runs: Runs, baseline: Runs, mode: str, reference: str) -> set
 
 
 def _fall_counts(rows: Runs) -> tuple[int, int]:
-    """Number of robots that fell, and that did not; means over rows of the same robots."""
+    """Count robots that fell, and that did not; means over rows of the same robots."""
     # Rounded down, so that chance is not called a fault.
     falls = sum(column(rows, "falls")) // len(rows)
     return falls, rows[0]["robots"] - falls
 
 
 def _chance_claim(claim: str, settings: Runs, what: str) -> dict[str, Any]:
-    """Claim that chance explains all settings; it names those beyond chance and the others."""
+    """Make the claim that chance explains all settings; it names them, those beyond it first."""
     clear = list(map(setting_label, select(settings, beyond_chance=True)))
     unclear = list(map(setting_label, select(settings, beyond_chance=False)))
     beyond = ": " + ", ".join(clear) if clear else ""
@@ -167,7 +167,7 @@ def _chance_claim(claim: str, settings: Runs, what: str) -> dict[str, Any]:
 
 
 def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
-    """Claim on false switches in healthy hours; none if there are no such hours."""
+    """Make the claim on false switches in healthy hours; none if there are no such hours."""
     if not healthy["robot_hours"]:
         return []
     rate = healthy["false_switches_per_hour"]
@@ -181,7 +181,7 @@ def _false_switch_claim(healthy: dict[str, Any]) -> Runs:
 
 
 def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
-    """Claim on the median delay of severe faults that make mode camera fall; none without any."""
+    """Make the claim on the median delay of severe faults that make mode camera fall, if any do."""
     camera_rows = settings_vp_falls_in(runs, baseline)
     harmful_runs = []
     for run in select(runs, mode="memory"):
@@ -205,7 +205,7 @@ def _delay_claim(runs: Runs, baseline: Runs) -> Runs:
 
 
 def _blind_claims(runs: Runs) -> Runs:
-    """Claims that monitors notice frozen and uniform images, compared with mode switch's rule."""
+    """Make the claims that monitors notice frozen and uniform images, beside mode switch's rule."""
     # Severity 5 repeats one image, or leaves one value in it.
     worst = select(runs, mode="memory", severity=5)
     claims = []

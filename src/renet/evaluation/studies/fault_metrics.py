@@ -28,13 +28,13 @@ Values = Mapping[str, Any]
 
 
 def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict[str, np.ndarray]:
-    """Measures of each robot, [N] each, by name.
+    """Measure each robot, [N] each, by name.
 
     Args:
-        trace: trace of the run.
-        onset: control step from which on robots are measured.
-        command: commanded speed, m/s.
-        steps: length of the longest run; a fallen robot counts as lying until then.
+        trace: Trace of the run.
+        onset: Control step from which on robots are measured.
+        command: Commanded speed, m/s.
+        steps: Length of the longest run; a fallen robot counts as lying until then.
     """
     crossed, fell, seconds = trace.first_try()
     # On endless ground, or towards a tile's corner, half a tile's width counts as crossed.
@@ -64,7 +64,7 @@ def robot_measures(trace: Trace, onset: int, command: float, steps: int) -> dict
 
 
 def estimates(values: Values, twins: Values) -> dict[str, dict[str, Any]]:
-    """Mean of each measure over robots, and its mean change from their twins, with intervals."""
+    """Average each measure over robots, and its change from their twins, with intervals."""
     rows = {}
     for name in values:
         faulty = np.array(values[name], float)
@@ -76,7 +76,7 @@ def estimates(values: Values, twins: Values) -> dict[str, dict[str, Any]]:
 
 
 def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
-    """Mean and interval of the values that are not NaN; None if all are."""
+    """Return mean and interval of the values that are not NaN; None if all are."""
     values = values[~np.isnan(values)]
     if not len(values):
         return {"value": None, "ci95": None}
@@ -84,7 +84,7 @@ def _mean(values: np.ndarray, interval: Any) -> dict[str, Any]:
 
 
 def by_robot(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, np.ndarray]]]:
-    """Mean of each robot over the settings, [N], by mode, ground and share.
+    """Average each robot over the settings, [N], by mode, ground and share.
 
     The same robots are in all settings, so that an interval of a mean over settings is one over
     robots.
@@ -99,7 +99,7 @@ def by_robot(runs: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, dict[str,
 
 
 def pair_counts(values: Values, twins: Values) -> dict[str, int]:
-    """Number of robots that fell while their twins did not, and the other way round."""
+    """Count robots that fell while their twins did not, and the other way round."""
     fell = 1 - np.array(values["upright"], float) > 0
     twin_fell = 1 - np.array(twins["upright"], float) > 0
     return {
@@ -109,7 +109,7 @@ def pair_counts(values: Values, twins: Values) -> dict[str, int]:
 
 
 def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
-    """Gain in survival of mode memory over mode blind, by robot; None without mode blind."""
+    """Return memory's gain in survival over mode blind, by robot; None without mode blind."""
     if op is None:
         return dict.fromkeys(("over_op", "over_op_ci95_low", "over_op_ci95_high"))
     gain = np.array(values["upright"], float) - np.array(op["upright"], float)
@@ -117,13 +117,13 @@ def beside_op(values: Values, op: Values | None) -> dict[str, Any]:
 
 
 def end_of(setting: Setting, over: int) -> int:
-    """Control step at which a fault is over, by itself or because the study ends it at `over`."""
+    """Return the control step at which a fault ends: at its own end, or at the study's, `over`."""
     lasts = fault_class(setting.fault).lasts(setting.level)
     return over if np.isinf(lasts) else min(over, setting.step + control_steps(lasts))
 
 
 def survival(trace: Trace, until: int) -> dict[str, Any]:
-    """Falls, and the mean speed over the 3 s before control step `until`, with intervals.
+    """Measure falls, and the mean speed over the 3 s before control step `until`, with intervals.
 
     A fallen robot counts with a speed of zero; one that has left its tile counts until then.
     """
@@ -144,7 +144,7 @@ def survival(trace: Trace, until: int) -> dict[str, Any]:
 
 
 def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str, Any]:
-    """Counts and delays of robots that notice a fault, and that see again after it.
+    """Measure how many robots notice a fault and see again after it, and how fast.
 
     A robot that notices the fault stops seeing: its images are withheld, or OP takes over. A fault
     that is noticed only after its end, or after the robot's fall, is missed. A robot that does not
@@ -152,10 +152,10 @@ def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str,
     that see.
 
     Args:
-        trace: trace of robots under one fault.
-        paper: [T, U, N] bool, the paper's selector trusts vision.
-        onset: control step at which the fault begins.
-        end: control step at which it is over.
+        trace: Trace of robots under one fault.
+        paper: True where the paper's selector trusts vision, [T, U, N] bool.
+        onset: Control step at which the fault begins.
+        end: Control step at which it is over.
     """
     sees = trace.sees
     over = trace.over
@@ -184,16 +184,16 @@ def noticing(trace: Trace, paper: np.ndarray, onset: int, end: int) -> dict[str,
 def departure(
     trusted: np.ndarray, gone: np.ndarray, start: int, end: int | None = None
 ) -> np.ndarray:
-    """Time from a control step until the selector first stops trusting vision.
+    """Measure the time from a control step until the selector first stops trusting vision.
 
     For `~trusted` it is the delay of the return to vision. A robot that is put back at its start
     after a fall trusts vision, which is no return.
 
     Args:
-        trusted: [T, U, N] bool, vision is trusted.
-        gone: [T, N] bool, the first try is over.
-        start: control step from which on time counts.
-        end: control step from which on departures do not count.
+        trusted: True where vision is trusted, [T, U, N] bool.
+        gone: True where the first try is over, [T, N] bool.
+        start: Control step from which on time counts.
+        end: Control step from which on departures do not count.
 
     Returns:
         [N] s; NaN where vision was not trusted before `start`, or is still trusted at `end` or at
@@ -207,6 +207,6 @@ def departure(
 
 
 def _quantile(values: np.ndarray, share: float) -> float | None:
-    """Quantile of the values [N] that are not NaN; None if all are."""
+    """Return the quantile of the values [N] that are not NaN; None if all are."""
     values = values[~np.isnan(values)]
     return float(np.quantile(values, share)) if len(values) else None

@@ -70,5 +70,5 @@ class Setting(NamedTuple):
         return fault_class(self.fault).level_of(self.severity)
 
     def injection(self, seconds: float) -> Injection:
-        """The fault's injection, which lasts `seconds` at most."""
+        """Return the fault's injection, which lasts `seconds` at most."""
         return Injection.of(self.fault, self.severity, self.step, seconds)

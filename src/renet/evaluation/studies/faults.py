@@ -124,7 +124,7 @@ class FaultStudy(WalkingStudy):
         return batches
 
     def _settings_of(self, fault: str, severities: Sequence[int]) -> list[Setting]:
-        """Settings of one fault, by ground, onset and severity."""
+        """Return the settings of one fault, by ground, onset and severity."""
         settings = []
         for ground in self.grounds:
             # Glass needs obstacles that can be glass.
@@ -135,7 +135,7 @@ class FaultStudy(WalkingStudy):
         return settings
 
     def onsets_on(self, ground: str) -> tuple[float, ...]:
-        """Times at which faults begin on a ground, s."""
+        """Return the times at which faults begin on a ground, s."""
         # Flat ground has no edge; `quick` takes the onset before it elsewhere.
         if ground == FLAT_GROUND:
             return self.onsets[:1]
@@ -152,11 +152,11 @@ class FaultStudy(WalkingStudy):
         return [mode for mode in self.modes if mode != "blind"]
 
     def groups(self, settings: Sequence[Setting]) -> list[tuple[Setting, str]]:
-        """Setting and mode of each group of robots in a batch."""
+        """Return the setting and mode of each group of robots in a batch."""
         return list(product(settings, self.vision_modes))
 
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
-        """Trials of every robot of a batch, group by group."""
+        """Return the trials of every robot of a batch, group by group."""
         trials = []
         for setting, mode in self.groups(settings):
             trials += self.trial_group(mode, (setting.injection(self.lasts),), setting.ground)
@@ -175,7 +175,7 @@ class FaultStudy(WalkingStudy):
         return super().walk(evaluator, env, trials, title, **options)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One part for each fault, one without faults, and one of healthy walking."""
+        """Return one part for each fault, one without faults, and one of healthy walking."""
         # Batches of the same robots share an environment, and faults of a group share a run.
         make_env = cache(partial(self.make_env, evaluator))
         parts: dict[str, Callable[[], Part]] = {}
@@ -189,12 +189,12 @@ class FaultStudy(WalkingStudy):
         return parts
 
     def part_groups(self, names: Sequence[str]) -> list[list[str]]:
-        """Groups of faults that walk side by side; each other part is a group of its own."""
+        """Group faults that walk side by side; each other part is a group of its own."""
         others = [[name] for name in names if name not in self.batches]
         return self._fault_groups() + others
 
     def _fault_groups(self) -> list[list[str]]:
-        """Names of the faults' parts in groups of at most `SIDE_BY_SIDE` robots, or of one fault.
+        """Group the names of the faults' parts by at most `SIDE_BY_SIDE` robots, or one fault.
 
         All faults of a group begin with the same ground, for the position of a robot's first twin
         determines how the starts of the others are rounded.
@@ -233,12 +233,12 @@ class FaultStudy(WalkingStudy):
         return parts
 
     def _fault_part(self, name: str, trace: Trace, paper: np.ndarray) -> Part:
-        """Part of one fault.
+        """Make the part of one fault.
 
         Args:
-            name: name of the part.
-            trace: trace of its robots, [T, N].
-            paper: answers of the paper's selector, [T, U, N].
+            name: Name of the part.
+            trace: Trace of its robots, [T, N].
+            paper: Answers of the paper's selector, [T, U, N].
         """
         each = self.robots_each
         runs = []
@@ -254,11 +254,11 @@ class FaultStudy(WalkingStudy):
         return {"runs": runs} | self.curves(trace, self.vision_modes)
 
     def measures(self, trace: Trace, onset: int) -> dict[str, np.ndarray]:
-        """Measures of each robot, [N] each, from a control step on."""
+        """Measure each robot, [N] each, from a control step on."""
         return fault_metrics.robot_measures(trace, onset, self.speed, self.steps)
 
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
-        """Further contents of a batch's part, for presets; `modes` are its robots' modes."""
+        """Return further contents of a batch's part, for presets; `modes` are its robots' modes."""
         return {}
 
     def _run_twins(self, evaluator: Evaluator, make_env: MakeEnv) -> Part:
@@ -315,7 +315,7 @@ class FaultStudy(WalkingStudy):
         }
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """Rows compared with their twins, and findings."""
+        """Compare the rows with their twins, and find harmful and missed settings."""
         twins = {(run["ground"], run["mode"]): run for run in parts["no_fault"]["runs"]}
         runs = []
         for name, settings in self.batches.items():
@@ -344,13 +344,13 @@ class FaultStudy(WalkingStudy):
         }
 
     def _row(self, setting: Setting, mode: str, runs: Rows, twins: Rows) -> dict[str, Any]:
-        """Row of a setting in one mode, compared with its twins.
+        """Make the row of a setting in one mode, compared with its twins.
 
         Args:
-            setting: the setting.
-            mode: the mode.
-            runs: rows of the fault's part, by setting and mode.
-            twins: rows without faults, by ground and mode.
+            setting: The setting.
+            mode: The mode.
+            runs: Rows of the fault's part, by setting and mode.
+            twins: Rows without faults, by ground and mode.
         """
         twin = twins[setting.ground, mode]
         onset = str(setting.onset)
@@ -383,7 +383,7 @@ class FaultStudy(WalkingStudy):
         return row
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figures crossed.png, survival.png and detection.png."""
+        """Draw crossed.png, survival.png and detection.png."""
         runs = summary["runs"]
         modes = {mode: select(runs, mode=mode) for mode in self.modes}
         # Only robots in mode memory obey the monitors; without that mode, all rows are shown.
@@ -407,7 +407,7 @@ class FaultStudy(WalkingStudy):
         }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Robots that crossed, by ground and fault, the claims, harmful and missed settings."""
+        """Tabulate robots that crossed, the claims, and harmful and missed settings."""
         crossed: list[tuple[Any, ...]] = []
         for place, runs in group_by(summary["runs"], "ground", "fault").items():
             row = list(place)
@@ -441,12 +441,12 @@ class FaultStudy(WalkingStudy):
 
 
 def _part_of(walk: Callable[[], Mapping[str, Part]], name: str) -> Part:
-    """Part of one fault of a group that walks together."""
+    """Return the part of one fault of a group that walks together."""
     return walk()[name]
 
 
 def _healthy_walks(no_fault: Part, healthy: Part) -> dict[str, Any]:
-    """False switches with healthy cameras, of the faults' twins and of further walks together."""
+    """Add up false switches with healthy cameras, of the faults' twins and of further walks."""
     # The time before the faults is the same in all batches, so it counts once, in the twins' batch.
     hours = no_fault["healthy_robot_hours"] + healthy.get("robot_hours", 0)
     switches = no_fault["false_switches"] + healthy.get("false_switches", 0)
@@ -460,19 +460,19 @@ def _healthy_walks(no_fault: Part, healthy: Part) -> dict[str, Any]:
 
 
 def crossed_table(modes: Mapping[str, list[dict[str, Any]]]) -> Figure:
-    """Coloured table of the robots that cross, by fault and ground; rows of a summary by mode."""
+    """Draw a coloured table of the robots that cross, by fault and ground; rows are by mode."""
     title = "Robots that cross (%), all severities and onsets together"
     panels = _mode_panels(modes, _crossed, "ground")
     return figures.colour_tables(panels, title, width=0.34, rotation=90)
 
 
 def _crossed(run: dict[str, Any]) -> float:
-    """Share of a row's robots that crossed."""
+    """Return the share of a row's robots that crossed."""
     return run["measures"]["crossed"]["value"]
 
 
 def _noticed_cells(runs: list[dict[str, Any]], name: str) -> figures.Cells:
-    """Shares of the robots that see that noticed the fault; `name` is their count's column."""
+    """Return shares of the robots that see that noticed a fault; `name` is their count's column."""
     return figures.mean_cells(
         runs, lambda run: run[name] / (run["vision_active_at_onset"] or np.nan)
     )
@@ -481,12 +481,12 @@ def _noticed_cells(runs: list[dict[str, Any]], name: str) -> figures.Cells:
 def _mode_panels(
     modes: Mapping[str, list[dict[str, Any]]], share: Callable[[Any], float], heading: str
 ) -> Mapping[str, figures.Cells]:
-    """Cells of a share for each mode, with mode blind as a row of the others' tables.
+    """Return the cells of a share for each mode, with mode blind as a row of the others' tables.
 
     Args:
-        modes: rows of a summary by mode.
-        share: share of a row.
-        heading: column of the rows whose values are the cells' headings.
+        modes: Rows of a summary by mode.
+        share: Share of a row.
+        heading: Column of the rows whose values are the cells' headings.
     """
     tables = {}
     for mode, runs in modes.items():

@@ -24,12 +24,12 @@ _START_YAW = 0.1
 
 
 def onset_before_edge(speed: float, lead: float = 0.5, edge: float = NEAREST) -> float:
-    """Time at which a robot is `lead` seconds before an edge, s; 0 if it starts nearer.
+    """Return the time at which a robot is `lead` seconds before an edge, s; at least 0.
 
     Args:
-        speed: commanded speed, m/s.
-        lead: time before the edge, s.
-        edge: distance from the start to the edge, m; by default to the nearest of all kinds.
+        speed: Commanded speed, m/s.
+        lead: Time before the edge, s.
+        edge: Distance from the start to the edge, m; by default to the nearest of all kinds.
     """
     return max(edge / speed - lead, 0.0)
 
@@ -38,15 +38,15 @@ def start_facing(cfg: RenetEnvCfg, yaw: float = 0.0) -> None:
     """Let robots start at a yaw, give or take 0.1 rad, in place.
 
     Args:
-        cfg: task whose obstacle is straight ahead, along +x.
-        yaw: yaw of the start, rad; 0: robots walk straight at the obstacle.
+        cfg: Task whose obstacle is straight ahead, along +x.
+        yaw: Yaw of the start, rad; 0: robots walk straight at the obstacle.
     """
     yaws = (yaw - _START_YAW, yaw + _START_YAW)
     cfg.events["spawn"].params["pose_range"]["yaw"] = yaws
 
 
 def one_tile_cfg(evaluator: Evaluator, kind: str, tile: Tile) -> RenetEnvCfg:
-    """Task on a single tile of a kind, in the evaluator's conditions."""
+    """Make a task on a single tile of a kind, in the evaluator's conditions."""
     # It loads PyTorch and mjlab, which take seconds.
     from renet.tasks.terrains import EVALUATION_SEED, parkour_terrain
 
@@ -78,7 +78,7 @@ class LevelStudy(WalkingStudy):
                 )
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One part for each ground."""
+        """Return one part for each ground."""
         parts = {}
         for number, ground in enumerate(self.grounds, start=1):
             kind, level = ground.split(":")
@@ -93,5 +93,5 @@ class LevelStudy(WalkingStudy):
         raise NotImplementedError
 
     def by_ground(self, parts: Mapping[str, Part]) -> dict[str, Part]:
-        """Part of each ground, by the ground as it is written in the settings."""
+        """Return the part of each ground, by the ground as it is written in the settings."""
         return {ground: parts[ground.replace(":", "_")] for ground in self.grounds}

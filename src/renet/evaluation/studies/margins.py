@@ -153,11 +153,11 @@ class MarginsStudy(WalkingStudy):
             raise RenetError("give a ground")
 
     def levels(self, axis: str) -> tuple[float, ...]:
-        """Levels of a sweep; every second one with `quick`."""
+        """Return the levels of a sweep; every second one with `quick`."""
         return MARGIN_AXES[axis].levels[:: 2 if self.quick else 1]
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One part for the nominal robots, and one for the sweep of each axis."""
+        """Return one part for the nominal robots, and one for the sweep of each axis."""
         parts = {"nominal": partial(self._sweep, evaluator, "nominal", (None,))}
         for axis in self.axes:
             parts[axis] = partial(self._sweep, evaluator, axis, self.levels(axis))
@@ -209,7 +209,7 @@ class MarginsStudy(WalkingStudy):
         return runs
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The rows, and the margin of each axis, ground and mode."""
+        """Return the rows, and the margin of each axis, ground and mode."""
         runs = super().summarise(parts, evaluator)["runs"]
         margins = []
         for axis in self.axes:
@@ -220,7 +220,7 @@ class MarginsStudy(WalkingStudy):
         return {"runs": runs, "margins": margins}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure margins.png: a coloured table, one row for each axis."""
+        """Draw margins.png: a coloured table, one row for each axis."""
         panels = {}
         for (ground,), margins in group_by(summary["margins"], "ground").items():
             cells = {}
@@ -233,7 +233,7 @@ class MarginsStudy(WalkingStudy):
         return {"margins.png": figures.colour_tables(panels, title, width=1.2, stacked=True)}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Margins of each axis, by ground and mode."""
+        """Tabulate the margins of each axis, by ground and mode."""
         rows = []
         for (axis,), margins in group_by(summary["margins"], "axis").items():
             rows.append((MARGIN_AXES[axis].title, *map(_text, margins)))
@@ -243,7 +243,7 @@ class MarginsStudy(WalkingStudy):
 
 
 def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> dict[str, Any]:
-    """Margin of the robots of one ground and mode on an axis, from their rows of all axes.
+    """Find the margin of one ground and mode on an axis, from their rows of all axes.
 
     Returns:
         `margin`, the last level at which at most the allowed share fails, None if more fail at the
@@ -263,7 +263,7 @@ def margin(runs: list[dict[str, Any]], axis: str, levels: tuple[float, ...]) -> 
 
 
 def _text(row: Mapping[str, Any]) -> str:
-    """Text of a margin with its unit; a dash if there is none."""
+    """Format a margin with its unit; a dash if there is none."""
     if row["margin"] is None:
         return "–"
     number = f"{abs(row['margin']):g} {row['unit']}".strip()

@@ -112,7 +112,7 @@ class MemoryStudy(LevelStudy):
         return {"crossed": crossed.reshape(shape), "fell": fell.reshape(shape)}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """One row for each ground, mode and time, with the change from a healthy camera."""
+        """Return a row for each ground, mode and time, with the change from a healthy camera."""
         runs = []
         for ground, part in self.by_ground(parts).items():
             kind, level = ground.split(":")
@@ -139,7 +139,7 @@ class MemoryStudy(LevelStudy):
         return {"runs": runs, "robots": self.robots_each}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure memory.png: share that crosses against the time, one panel for each ground."""
+        """Draw memory.png: share that crosses against the time, one panel for each ground."""
         times = [0.0] + [round(seconds, 6) for seconds in sorted(self.without)]
         panels = {}
         for (kind, size), runs in group_by(summary["runs"], "ground", "size_m").items():
@@ -157,7 +157,7 @@ class MemoryStudy(LevelStudy):
         return {"memory.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Shares that cross, by ground and time."""
+        """Tabulate shares that cross, by ground and time."""
         rows = []
         for (kind, level), runs in group_by(summary["runs"], "ground", "level").items():
             crossed = {(run["mode"], run["without_s"]): run["crossed"] for run in runs}

@@ -74,12 +74,12 @@ class NoiseStudy(FaultStudy):
             raise RenetError("give the noise study one ground, one onset, and NAME:SEVERITY")
 
     def trials(self, settings: Sequence[Setting]) -> list[Trial]:
-        """The fault study's trials, and one robot more, whose camera recovers half-way."""
+        """Return the fault study's trials, and one robot more, whose camera recovers half-way."""
         passing = settings[0].injection(self.lasts / 2)
         return [*super().trials(settings), Trial("memory", (passing,), 0, settings[0].ground)]
 
     def curves(self, trace: Trace, modes: Sequence[str]) -> Part:
-        """Mean speed over time of each mode, and the timeline of the robot that recovers."""
+        """Return each mode's mean speed over time, and the timeline of the robot that recovers."""
         # The last group is the single robot that recovers, which belongs to no mode.
         groups = zip(modes, trace.groups(self.robots_each), strict=False)
         timeline = {}
@@ -91,14 +91,14 @@ class NoiseStudy(FaultStudy):
         }
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The fault study's summary, and the name of the threshold that `beta` is."""
+        """Return the fault study's summary, and the name of the threshold that `beta` is."""
         # A bundle that predicts a variance judges images by it, and mode switch alone by beta.
         judges = "reconstruction" in evaluator.thresholds
         name = "threshold β" if judges else "threshold β of mode switch"
         return super().summarise(parts, evaluator) | {"beta_name": name}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figures noise.png and timeline.png."""
+        """Draw noise.png and timeline.png."""
         # Parts by noise and level.
         batches = {("none", 0.0): parts["no_fault"]}
         for name, (setting,) in self.batches.items():
@@ -127,7 +127,7 @@ class NoiseStudy(FaultStudy):
         }
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Falls, speed, delay and, on tiles, crossings, by mode and noise."""
+        """Tabulate falls, speed, delay and, on tiles, crossings, by mode and noise."""
         rows = []
         for run in self._rows(summary):
             row = (
@@ -144,7 +144,7 @@ class NoiseStudy(FaultStudy):
         return [(f"Camera noise: {grounds}", header, rows)]
 
     def _rows(self, summary: dict[str, Any]) -> list[dict[str, Any]]:
-        """Rows without noise, then those with it, mode by mode."""
+        """List rows without noise, then those with it, mode by mode."""
         rows = list(summary["baseline"])
         for mode in self.modes:
             for run in summary["runs"]:
@@ -158,7 +158,7 @@ class NoiseStudy(FaultStudy):
 
 
 def _crossed_text(run: Mapping[str, Any]) -> str:
-    """Number of robots of a row that crossed; a dash on flat ground, which has no end."""
+    """Say how many robots of a row crossed; a dash on flat ground, which has no end."""
     if run["ground"] == FLAT_GROUND:
         return "-"
     share = run["measures"]["crossed"]["value"]
@@ -166,7 +166,7 @@ def _crossed_text(run: Mapping[str, Any]) -> str:
 
 
 def noise_label(noise: str, level: float) -> str:
-    """Label of a noise setting as in the paper, such as "GA 30 %"."""
+    """Return the label of a noise setting as in the paper, such as "GA 30 %"."""
     if noise == "none":
         return "no noise"
     short = {"gaussian": "GA", "salt_and_pepper": "SP"}.get(noise)
@@ -178,12 +178,12 @@ def noise_label(noise: str, level: float) -> str:
 def speed_over_time(
     curves: Mapping[str, Mapping[tuple[str, float], np.ndarray]], onset: float, command: float
 ) -> Figure:
-    """The paper's comparison: mean forward velocity against timestep, a panel below the other.
+    """Draw mean forward velocity against timestep, as the paper does, a panel for each mode.
 
     Args:
-        curves: mode → (noise, level) → [T] m/s, mean over the robots.
-        onset: time at which the noise begins, s.
-        command: commanded speed, m/s.
+        curves: Mean speed of the robots, [T] m/s, by mode, and by noise and level.
+        onset: Time at which the noise begins, s.
+        command: Commanded speed, m/s.
     """
     size = (figures.FIGURE_WIDTH, 2.6 * len(curves) + 1.0)
     figure, axes = plt.subplots(
@@ -207,7 +207,7 @@ def speed_over_time(
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
-    """Centred moving mean over about half a gait cycle, shorter at both ends."""
+    """Take the centred moving mean over about half a gait cycle, shorter at both ends."""
     kernel = np.ones(13)
     total = np.convolve(values, kernel, "same")
     return total / np.convolve(np.ones_like(values), kernel, "same")
@@ -219,13 +219,13 @@ def draw_timeline(
     threshold: tuple[str, float],
     title: str,
 ) -> Figure:
-    """The paper's timeline of one robot: loss, threshold, estimator in charge and probability P.
+    """Draw one robot's timeline as the paper does: loss, threshold, estimator in charge and P.
 
     Args:
         line: `anomaly`, `probability` and `vision` (VP in charge) at each control step, [T] each.
-        marks: times to point out, s, with their texts.
-        threshold: name and value of a threshold on the anomaly score.
-        title: title of the figure.
+        marks: Times to point out, s, with their texts.
+        threshold: Name and value of a threshold on the anomaly score.
+        title: Title of the figure.
     """
     figure, axis = plt.subplots(figsize=(11, 3.7))
     name, beta = threshold

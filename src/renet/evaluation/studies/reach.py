@@ -96,7 +96,7 @@ class ReachStudy(WalkingStudy):
         return control_steps(_RUN_UP / self.speed)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One batch for each distance, and one for the two gaps."""
+        """Return one batch for each distance, and one for the two gaps."""
         parts = {}
         for metres in self.metres:
             name = f"gap_{metres:g}"
@@ -133,7 +133,7 @@ class ReachStudy(WalkingStudy):
         return {"runs": runs}
 
     def _row(self, trace: Trace, gap: GapTile) -> dict[str, Any]:
-        """Row of one group of robots, with the ends of their first tries."""
+        """Make the row of one group of robots, with the ends of their first tries."""
         crossed, fell, _ = trace.first_try()
         # The camera dies at a time, so robots are not exactly where the settings say.
         from_edge = gap.island - trace.travelled[self.onset]
@@ -156,7 +156,7 @@ class ReachStudy(WalkingStudy):
         }
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure reach.png: shares of robots over the gap, and of falls, against the distance."""
+        """Draw reach.png: shares of robots over the gap, and of falls, against the distance."""
         figure, axes = plt.subplots(
             2, 1, figsize=(figures.FIGURE_WIDTH, 5.0), sharex=True, sharey=True
         )
@@ -177,7 +177,7 @@ class ReachStudy(WalkingStudy):
         return {"reach.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Counts by scene, distance and conduct."""
+        """Tabulate counts by scene, distance and conduct."""
         header = (
             "scene",
             "dead at (m)",
@@ -197,12 +197,12 @@ class ReachStudy(WalkingStudy):
 
 
 def single_gap(width: float, metres: float) -> GapTile:
-    """Tile with one gap whose edge is `metres` beyond the run-up, m."""
+    """Make a tile with one gap whose edge is `metres` beyond the run-up, m."""
     return GapTile(low=width, high=width, island=_RUN_UP + metres)
 
 
 def _second_gap(gap: GapTile) -> float:
-    """Distance from the start beyond which a robot is on its way into the second gap, m.
+    """Return the distance from the start beyond which a robot heads into the second gap, m.
 
     It is the middle of the ground between the gaps, and infinite if there is a single one.
     """
@@ -212,7 +212,7 @@ def _second_gap(gap: GapTile) -> float:
 
 
 def _last_distance(trace: Trace) -> np.ndarray:
-    """Distance from the start at which the first tries, or else the run, ended, [N] m."""
+    """Return the distance from the start at which first tries, or else the run, ended, [N] m."""
     over = trace.over
     # In the step in which a try ends the robot is at its next start already.
     ends = np.maximum(over.argmax(axis=0) - 1, 0)

@@ -67,7 +67,7 @@ class StandingStudy(TerrainStudy):
         return groups
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """All robots of every ground and mode, side by side."""
+        """Return one part: all robots of every ground and mode, side by side."""
         return {"runs": partial(self._stand, evaluator)}
 
     def _stand(self, evaluator: Evaluator) -> Part:
@@ -111,15 +111,15 @@ class StandingStudy(TerrainStudy):
         return {"runs": runs}
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """The rows."""
+        """Return the rows."""
         return {"runs": parts["runs"]["runs"]}
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """No figures."""
+        """Draw nothing."""
         return {}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The rows."""
+        """Tabulate the rows."""
         header = tuple(name for name in summary["runs"][0] if name != "seed")
         rows = []
         for run in summary["runs"]:
@@ -132,11 +132,11 @@ class StandingStudy(TerrainStudy):
 
 
 def stillness(poses: np.ndarray, settled: int) -> tuple[np.ndarray, np.ndarray]:
-    """Drift and joint speed of robots that should stand.
+    """Measure drift and joint speed of robots that should stand.
 
     Args:
-        poses: [T, N, 7 + joints], generalised positions at each control step.
-        settled: control step from which on they should stand, 1 or later.
+        poses: Generalised positions at each control step, [T, N, 7 + joints].
+        settled: Control step from which on they should stand, 1 or later.
 
     Returns:
         Horizontal distance from the position at `settled` to the last one, [N] m; mean speed of the

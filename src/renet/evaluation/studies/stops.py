@@ -57,7 +57,7 @@ class StopsStudy(WalkingStudy):
             raise RenetError(f"height must be positive, got {self.height} m")
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One batch for each kind and angle."""
+        """Return one batch for each kind and angle."""
         parts = {}
         for kind, angle in product(self.kinds, self.angles):
             parts[f"{kind}_{angle:g}"] = partial(self._approach, evaluator, kind, angle)
@@ -91,7 +91,7 @@ class StopsStudy(WalkingStudy):
         return {"runs": runs}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """The rows."""
+        """Tabulate the rows."""
         header = ("barrier", "angle (degrees)", "mode", "fell", "walked (m)")
         rows = []
         for run in summary["runs"]:

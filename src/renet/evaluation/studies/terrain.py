@@ -135,14 +135,14 @@ class TerrainStudy(WalkingStudy):
         return list(product(levels, self.modes))
 
     def file_digests(self) -> dict[str, str]:
-        """Hashes of the files of motors and ground, for parts' keys."""
+        """Return the hashes of the files of motors and ground, for parts' keys."""
         digests = super().file_digests()
         if self.scene is not None:
             digests["scene"] = hashlib.sha256(self._scene_content(self.scene)).hexdigest()
         return digests
 
     def _scene_content(self, file: Path) -> bytes:
-        """Content of the user's own ground, also of the files that an MJCF scene includes."""
+        """Read the user's own ground, also the files that an MJCF scene includes."""
         ground = self.tiles[OWN_GROUND]
         if not isinstance(ground, OwnScene):
             return file.read_bytes()
@@ -151,7 +151,7 @@ class TerrainStudy(WalkingStudy):
         return content.tobytes()
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
-        """One batch for each kind of tile, and for the paper's table one on flat ground."""
+        """Return one batch for each kind of tile, and for the paper's table one on flat ground."""
         # Batches of the same robots share an environment.
         make_env = cache(partial(self._make_env, evaluator))
         parts: dict[str, Callable[[], Part]] = {}
@@ -201,8 +201,8 @@ class TerrainStudy(WalkingStudy):
         """Put robots on their tiles.
 
         Args:
-            make_env: makes the environment of robots of these numbers.
-            groups: kind, level (1 for flat ground) and mode of each group of robots.
+            make_env: Makes the environment of robots of these numbers.
+            groups: Kind, level (1 for flat ground) and mode of each group of robots.
 
         Returns:
             The environment, and the robots' trials, group by group.
@@ -234,7 +234,7 @@ class TerrainStudy(WalkingStudy):
         return evaluator.make_env(cfg, numbers, self.speed, self.seed)
 
     def _run(self, kind: str, level: int, mode: str, trace: Trace) -> dict[str, Any]:
-        """Row of the summary of one group of robots."""
+        """Make the summary's row of one group of robots."""
         crossed, fell, seconds = trace.first_try()
         success = crossed if self.one_try else passed(trace)
         return {
@@ -253,7 +253,7 @@ class TerrainStudy(WalkingStudy):
         }
 
     def summarise(self, parts: Mapping[str, Part], evaluator: Evaluator) -> dict[str, Any]:
-        """Rows, sizes crossed less often in mode memory than blind, and the paper's table."""
+        """Return rows, sizes that memory crosses less often than blind, and the paper's table."""
         runs = []
         for kind in self.kinds:
             runs += parts[kind]["runs"]
@@ -263,7 +263,7 @@ class TerrainStudy(WalkingStudy):
         return summary | self._paper_table(parts)
 
     def _paper_table(self, parts: Mapping[str, Part]) -> dict[str, Any]:
-        """Highest levels, collisions and the reward for speed of the first mode."""
+        """Compute highest levels, collisions and the reward for speed of the first mode."""
         highest = self._highest_levels(parts)
         levels = {}
         intervals = {}
@@ -286,7 +286,7 @@ class TerrainStudy(WalkingStudy):
         }
 
     def _highest_levels(self, parts: Mapping[str, Part]) -> dict[str, np.ndarray]:
-        """Highest level of each robot in the first mode, [R], by kind.
+        """Return the highest level of each robot in the first mode, [R], by kind.
 
         It is empty unless all levels from the first on are walked.
         """
@@ -300,7 +300,7 @@ class TerrainStudy(WalkingStudy):
         return highest
 
     def draw(self, summary: dict[str, Any], parts: Mapping[str, Part]) -> Figures:
-        """Figure of the share of robots that cross, against the obstacle's size."""
+        """Draw the share of robots that cross, against the obstacle's size."""
         panels = {}
         for (kind,), rows in group_by(summary["runs"], "kind").items():
             panels[f"{SIZE_LABELS[kind]} (cm)"] = sorted(rows, key=itemgetter("size_m"))
@@ -308,7 +308,7 @@ class TerrainStudy(WalkingStudy):
         return {f"{self.name}.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
-        """Shares that cross, and the paper's table."""
+        """Tabulate shares that cross, and the paper's table."""
         rows = []
         for (kind, size), runs in group_by(summary["runs"], "kind", "size_m").items():
             shares = [f"{100 * run['success_rate']:.0f}" for run in runs]
@@ -381,21 +381,21 @@ class DawnStudy(SuccessStudy):
 
 
 def passed(trace: Trace) -> np.ndarray:
-    """True for robots that left their tile at least once, [N]."""
+    """Return a mask of the robots that left their tile at least once, [N] bool."""
     return np.any(trace.ended & ~trace.fell, axis=0)
 
 
 def highest_level(levels_passed: np.ndarray) -> np.ndarray:
-    """Number of levels passed in a row from the first, [..., R].
+    """Count the levels passed in a row from the first, [..., R].
 
     Args:
-        levels_passed: [..., L, R] bool, each robot passed each level.
+        levels_passed: True where a robot passed a level, [..., L, R] bool.
     """
     return np.sum(np.logical_and.accumulate(levels_passed, axis=-2), axis=-2)
 
 
 def worse_than_blind(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Sizes that robots cross less often in mode memory than blind, by more than two points."""
+    """List sizes crossed less often in mode memory than in mode blind, by more than two points."""
     blind_rates = {}
     for run in runs:
         if run["mode"] == "blind":
