@@ -53,7 +53,7 @@ def test_it_is_known_by_name(name, tmp_path, monkeypatch, capsys):
 def test_a_copy_is_calibrated_and_the_one_that_ships_stays(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(calibrate_memory, "BLACKOUT_RANGE", (0.1, 0.2))
-    monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
+    monkeypatch.setattr(calibrate_memory, "MEASURED_TIME", 0.6)
     command = ["--robots", "2", "--seconds", "2", "--terrains", "flat", "--no-sparse-grass"]
     before = read_manifest(pretrained("go2-parkour"))
     for shipped in ("go2-parkour", str(pretrained("go2-parkour"))):

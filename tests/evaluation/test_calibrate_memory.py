@@ -7,7 +7,7 @@ import pytest
 
 from renet.bundle import write_bundle
 from renet.evaluation import calibrate_memory
-from renet.evaluation.calibrate_memory import MEASURED, MEMORY, limits_of_trace
+from renet.evaluation.calibrate_memory import MEASURED_TIME, MEMORY, limits_of_trace
 from renet.evaluation.evaluator import Evaluator
 from renet.evaluation.rollout import Rollout
 from renet.evaluation.trace import Trace
@@ -17,7 +17,7 @@ ROBOTS, STEPS = 400, 500
 
 def test_robots_walk_from_memory_and_twins_with_op(tmp_path, models, manifest, monkeypatch):
     monkeypatch.setattr(calibrate_memory, "BLACKOUT_RANGE", (0.1, 0.2))
-    monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
+    monkeypatch.setattr(calibrate_memory, "MEASURED_TIME", 0.6)
     spec = replace(manifest.selector, beta=0.25, longest_memory=0.1)
     path = write_bundle(tmp_path / "b", models, replace(manifest, selector=spec))
     traces: list[Trace] = []
@@ -54,4 +54,4 @@ def test_limits_of_a_run_whose_robots_fall_where_they_err_or_never():
     assert longest == pytest.approx(250 * 0.02, abs=0.3)
     never = walk(np.full((STEPS, ROBOTS), 0.0005))
     never.map_error[:, :ROBOTS] = error
-    assert limits_of_trace(never, dies, ground) == ({}, MEASURED)
+    assert limits_of_trace(never, dies, ground) == ({}, MEASURED_TIME)

@@ -164,7 +164,7 @@ def test_a_reader_that_leaves_early_does_not_cost_the_page(tmp_path, monkeypatch
 def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypatch):
     monkeypatch.setattr(demo, "FILM_SPAN", (1.0, 4.0))
     study, end = DemoStudy(speed=0.6), 160
-    steps = study.pace(Trace.empty(end, 1), goal=2.0)
+    steps = study.film_steps(Trace.empty(end, 1), goal=2.0)
     assert study.onset == 75
     assert [*steps[:3], *steps[25:27], steps[-1]] == [25, 27, 29, 75, 76, end - 1]
 
@@ -172,10 +172,10 @@ def test_the_film_is_slow_after_the_cameras_death_and_ends_with_the_run(monkeypa
 def test_the_film_ends_one_second_after_its_last_robot_fell_or_crossed():
     trace = Trace.empty(300, 2)
     trace.fell[90, 0] = trace.ended[90, 0] = True
-    undecided = DemoStudy(speed=0.6).pace(trace, goal=2.0)
+    undecided = DemoStudy(speed=0.6).film_steps(trace, goal=2.0)
     assert undecided[-1] > 220
     trace.travelled[110:, 1] = 2.0
-    steps = DemoStudy(speed=0.6).pace(trace, goal=2.0)
+    steps = DemoStudy(speed=0.6).film_steps(trace, goal=2.0)
     assert steps[-1] == 110 + 49
     assert steps == [step for step in undecided if step < 160]
 

@@ -74,7 +74,7 @@ def test_calibration_is_written_into_the_bundle_without_and_with_sparse_grass(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(calibrate_memory, "BLACKOUT_RANGE", (0.1, 0.2))
-    monkeypatch.setattr(calibrate_memory, "MEASURED", 0.6)
+    monkeypatch.setattr(calibrate_memory, "MEASURED_TIME", 0.6)
     # Only robots that walk count: the shipped policy's do.
     bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
     short = CalibrateCfg(bundle, robots=2, seconds=2.0, terrains=("flat",), conditions="nominal")

@@ -36,7 +36,7 @@ def test_each_round_of_iterations_has_one_film(tmp_path, said):
     for iteration in (60, 80, 110, 120, 170):
         if iteration > 60:
             save(tmp_path, iteration)
-        films.iterate()
+        films.update()
         films.close()
     names = sorted(path.name for path in (tmp_path / "films").iterdir())
     assert names == ["it_00000110.mp4", "it_00000170.mp4"]
@@ -57,11 +57,11 @@ def test_a_film_that_cannot_begin_is_told_and_the_next_one_begins(tmp_path, said
     films = Recorded(tmp_path, 10, True, said.append)
     films.command = lambda checkpoint, film: ["/nowhere/nice"]  # type: ignore[method-assign]
     save(tmp_path, 10)
-    films.iterate()
+    films.update()
     assert said == ["No film it_00000010.mp4: No such file or directory"]
     del films.command
     save(tmp_path, 20)
-    films.iterate()
+    films.update()
     films.close()
     assert said[1:] == [f"Film: {tmp_path / 'films' / 'it_00000020.mp4'}"]
 
@@ -70,7 +70,7 @@ def test_a_stopped_run_does_not_wait(tmp_path, said):
     save(tmp_path, 10)
     films = Recorded(tmp_path, 10, True, said.append)
     films.program = "import time; time.sleep(1000)"
-    films.iterate()
+    films.update()
     assert films._process is None, "what a run goes on from is not filmed"
     save(tmp_path, 20)
     with filming(films, math.inf, [2]) as film:

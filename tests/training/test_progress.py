@@ -45,7 +45,7 @@ def in_a_file(iterations: int, training, deadline: float = math.inf) -> tuple[Re
 def iterate(report: Report, training, clock: Clock, seconds: float) -> None:
     clock.now += seconds
     training.alg.iteration += 1
-    report.iterate()
+    report.update()
 
 
 def test_progress_fits_into_80_columns(clock):

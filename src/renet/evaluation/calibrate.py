@@ -117,7 +117,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     """
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
-    _demand_own(cfg.bundle)
+    _refuse_shipped(cfg.bundle)
     if not cfg.log and not cfg.images:
         return _calibrate_simulated(cfg)
     bundle = Bundle.load(cfg.bundle.absolute())
@@ -134,7 +134,7 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     return _store(cfg, bundle, series, calibration, (unchanged, spec.longest_memory))
 
 
-def _demand_own(bundle: Path) -> None:
+def _refuse_shipped(bundle: Path) -> None:
     """Raise RenetError for a bundle that ships, by its name or its folder."""
     for name in SHIPPED:
         by_name = str(bundle) == name and not os.path.lexists(bundle)
@@ -166,15 +166,15 @@ def _calibrate_simulated(cfg: CalibrateCfg) -> float:
         # Robots obey the new thresholds: an exported bundle has none.
         evaluator.bundle = _with_thresholds(bundle, thresholds, longest)
         memory = memory_limits(evaluator, 3 * cfg.robots, cfg.levels, cfg.speed, cfg.seed)
-    patient = [name for name in thresholds if MONITORS[name].in_a_row > 1]
-    if patient:
+    slow_monitors = [name for name in thresholds if MONITORS[name].in_a_row > 1]
+    if slow_monitors:
         # These monitors withhold an image before they have an alarm, and what they say of the next
         # one then rests on an older image. So their thresholds need robots that walk with them.
         limits, longest = memory
         evaluator.bundle = _with_thresholds(bundle, thresholds | limits, longest)
         withheld = _healthy_runs(cfg, evaluator, grass=False, mode="memory")
         needed = _calibrate_monitors(cfg, bundle, withheld, {}).thresholds
-        for name in patient:
+        for name in slow_monitors:
             thresholds[name] = max(thresholds[name], needed.get(name, -math.inf))
         _leave_out_blunt(thresholds)
     return _store(cfg, bundle, series, calibration, memory)

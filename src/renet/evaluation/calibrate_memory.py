@@ -25,7 +25,7 @@ Memory = tuple[dict[str, float], float]
 """Threshold of that monitor, if there is one, and the longest time without an image, s."""
 BLACKOUT_RANGE = (0.5, 3.0)
 """Range of the times after the start at which cameras go black for good, s."""
-MEASURED = 10.0
+MEASURED_TIME = 10.0
 """Time without an image that is simulated, s: a robot that walks so long has left its tile."""
 _WARNING_TIME = 0.5
 """Time before a fall at which the memory that led to it is judged, s."""
@@ -55,9 +55,9 @@ def memory_limits(
     numbers = np.arange(robots)
     earliest = control_steps(BLACKOUT_RANGE[0])
     latest = control_steps(BLACKOUT_RANGE[1])
-    dies = np.random.default_rng(seed).integers(earliest, latest, robots)
+    deaths = np.random.default_rng(seed).integers(earliest, latest, robots)
     trials = []
-    for number, step in enumerate(dies.tolist()):
+    for number, step in enumerate(deaths.tolist()):
         trials.append(Trial("memory", (Injection.of("blackout", 5, step),), number))
     trials += [Trial("blind", (), number) for number in range(robots)]
     task = parkour_env_cfg(play=True, robot=evaluator.robot)
@@ -74,25 +74,25 @@ def memory_limits(
     selectors = {"memory": make_selector("memory", endless, len(trials))}
     pilot = Pilot(evaluator.make_policy(len(trials)), selectors, pilot_modes(trials))
     rollout = Rollout(env, pilot, trials, seed)
-    steps = latest + control_steps(MEASURED)
+    steps = latest + control_steps(MEASURED_TIME)
     trace = rollout.run(steps, "memory", until_ended=0, retire=True)
     # Two levels of a kind are one ground.
-    return limits_of_trace(trace, dies, kinds * levels + level // 2)
+    return limits_of_trace(trace, deaths, kinds * levels + level // 2)
 
 
-def limits_of_trace(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memory:
+def limits_of_trace(trace: Trace, deaths: np.ndarray, ground: np.ndarray) -> Memory:
     """Compute the limits of memory from a run.
 
     Args:
         trace: Trace of N robots in mode memory, then of their N twins in mode blind.
-        dies: Control step at which each camera dies, [N].
+        deaths: Control step at which each camera dies, [N].
         ground: Number of each robot's ground, [N].
     """
-    count = len(dies)
+    count = len(deaths)
     steps = np.arange(len(trace.over))[:, None]
     walks = trace.trying
     falls = walks & trace.fell
-    blackout = steps >= dies
+    blackout = steps >= deaths
     # Falls per step in mode blind on each ground, after the time at which the twin's camera dies.
     blind_walks = np.bincount(ground, (blackout & walks[:, count:]).sum(axis=0))
     blind_falls = np.bincount(ground, (blackout & falls[:, count:]).sum(axis=0))
@@ -105,7 +105,7 @@ def limits_of_trace(trace: Trace, dies: np.ndarray, ground: np.ndarray) -> Memor
     earlier = control_steps(_WARNING_TIME)
     error = np.vstack([trace.map_error[:1, :count].repeat(earlier, 0), trace.map_error[:, :count]])
     limit = stale_above(error[: len(steps)][moments], fell, expected)
-    without = np.broadcast_to((steps - dies) * CONTROL_DT, moments.shape)[moments]
-    longest = min(stale_above(without, fell, expected), MEASURED)
+    without = np.broadcast_to((steps - deaths) * CONTROL_DT, moments.shape)[moments]
+    longest = min(stale_above(without, fell, expected), MEASURED_TIME)
     thresholds = {MEMORY: limit} if np.isfinite(limit) else {}
     return thresholds, longest

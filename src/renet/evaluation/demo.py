@@ -131,7 +131,7 @@ class DemoStudy(WalkingStudy):
         self._forget()
         goal = EDGES[_GROUND] + self.gap + GOAL_MARGIN
         path = self.out / "film.mp4"
-        steps = self.pace(trace.robots(np.array([*places])), goal)
+        steps = self.film_steps(trace.robots(np.array([*places])), goal)
         film(path, pictures(env.scene_spec, trace, titles, _UNPLUGGED[0], steps, goal))
         return {
             "crossed": crossed,
@@ -140,7 +140,7 @@ class DemoStudy(WalkingStudy):
             "remembers": bool((trace.vision & ~trace.has_image).any()),
         }
 
-    def pace(self, trace: Trace, goal: float) -> list[int]:
+    def film_steps(self, trace: Trace, goal: float) -> list[int]:
         """Choose the control steps of the film's pictures, at half speed after the fault's onset.
 
         Args:

@@ -89,7 +89,7 @@ def make_parts(
     bars = Progress(console=Console(stderr=True), disable=not shows_bars())
     with bars, _terminating(running):
         whole = bars.add_task(f"{'parts':<24}", total=count)
-        for processors in _shares(jobs):
+        for processors in _divide_processors(jobs):
             bar = bars.add_task(f"{'starting':<24}", total=None)
             running.append(Job(*_start(pickled, processors), bar))
         while running:
@@ -117,7 +117,7 @@ def make_parts(
                     bars.remove_task(job.bar)
 
 
-def _shares(jobs: int) -> list[list[int]]:
+def _divide_processors(jobs: int) -> list[list[int]]:
     """Divide the processors among jobs; some share one if there are more jobs than processors."""
     processors = sorted(os.sched_getaffinity(0))
     shares = np.array_split(processors, min(jobs, len(processors)))

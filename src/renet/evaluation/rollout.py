@@ -38,11 +38,13 @@ class Trial:
 
 
 class EvalEnv(Protocol):
-    """A batch of simulated robots."""
+    """A batch of N simulated robots.
+
+    An environment may have a method `retire(mask)`, as `SimEnv` does, that saves the work for
+    robots whose try is over, and a `map_height`, where its robots' is not `MAP_HEIGHT`.
+    """
 
     num_robots: int
-    """N. An environment may have a method `retire(mask)`, as `SimEnv` does, that saves the work for
-    robots whose try is over, and a `map_height`, where its robots' is not `MAP_HEIGHT`."""
 
     def reset(self) -> StepResult:
         """Put every robot at its start, and simulate those again that were retired."""

@@ -101,10 +101,10 @@ class Study:
         if self.jobs < 1:
             raise RenetError(f"jobs must be at least 1, got {self.jobs}")
         # Raises for a shard that is not I/N.
-        _ = self.share
+        _ = self.shard_slice
 
     @property
-    def share(self) -> slice:
+    def shard_slice(self) -> slice:
         """Slice of the groups of parts that this process makes."""
         if self.shard is None:
             return slice(None)
@@ -191,7 +191,7 @@ class Study:
         make = self.part_maker(evaluator)
         # A damaged part is told before hours go into the others.
         make.check_kept()
-        self._make_share(make)
+        self._make_shard(make)
         if missing := make.missing(make.makers):
             raise MissingParts(
                 f"shard {self.shard} is made; {len(missing)} of {len(make.makers)} parts are"
@@ -231,10 +231,10 @@ class Study:
         tables = self.tables(summary)
         write_summary(self.out / "summary.md", self.name, tables, list(drawings), provenance)
 
-    def _make_share(self, make: PartMaker) -> None:
+    def _make_shard(self, make: PartMaker) -> None:
         """Make the missing parts of this shard, or of the whole study without shards."""
         groups = []
-        for group in self.part_groups(list(make.makers))[self.share]:
+        for group in self.part_groups(list(make.makers))[self.shard_slice]:
             names = make.missing(group)
             if names:
                 groups.append(names)

@@ -47,7 +47,7 @@ class Films:
         # The checkpoint from which a run continues is not filmed.
         self._last_round = self._newest_round()
 
-    def iterate(self) -> None:
+    def update(self) -> None:
         """Start a film if it is time for one; called after each iteration."""
         self._report_end()
         if self._process is not None or self._newest_round() <= self._last_round:
@@ -128,8 +128,8 @@ def filming(
         yield lambda: None
         return
     try:
-        yield films.iterate
+        yield films.update
         # The last checkpoint is written after the last iteration.
-        films.iterate()
+        films.update()
     finally:
         films.close(0.0 if signals else deadline - time.monotonic())

@@ -67,7 +67,7 @@ class Report:
         if self._live:
             self._live.stop()
 
-    def iterate(self) -> None:
+    def update(self) -> None:
         """Record the end of an iteration, and print a line without a terminal, once a minute."""
         now = time.monotonic()
         self._lap_ends.append(now)

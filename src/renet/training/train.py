@@ -186,14 +186,14 @@ def train(cfg: TrainCfg, started: float | None = None) -> Path | None:
         torch.cuda.set_device(device)
     path, state = checkpoint_of(cfg)
     runner: RenetRunner | None = None
-    received: list[int] = []
+    stop_signals: list[int] = []
 
     def stop(number: int) -> None:
         # Before there is a runner, there is nothing to save.
         if runner is None:
             raise KeyboardInterrupt
         runner.stop.set()
-        received.append(number)
+        stop_signals.append(number)
         console.print("Stopping with a checkpoint; Ctrl-C again interrupts at once")
 
     with ExitStack() as stack:
@@ -218,14 +218,14 @@ def train(cfg: TrainCfg, started: float | None = None) -> Path | None:
         record_settings(cfg, new_runner, state, run, console)
         # From now on a signal stops with a checkpoint.
         runner = new_runner
-        newest = learn(cfg, runner, run, console, deadline, received)
+        newest = learn(cfg, runner, run, console, deadline, stop_signals)
         if run is None:
             return None
         tell_end(cfg, runner, run, started, console)
-        if received:
+        if stop_signals:
             console.print(f"Stopped at {newest}: renet train {cfg.task} --resume {run} goes on")
             # The exit code by which shells report a signal.
-            raise SystemExit(128 + received[0])
+            raise SystemExit(128 + stop_signals[0])
     return run
 
 
@@ -281,7 +281,7 @@ def learn(
     run: Path | None,
     console: Console,
     deadline: float,
-    received: Sequence[int],
+    stop_signals: Sequence[int],
 ) -> Path | None:
     """Run the remaining iterations, with reports and films, and return the last checkpoint.
 
@@ -291,16 +291,16 @@ def learn(
         run: Folder of the run; None on ranks above 0.
         console: Console to report on.
         deadline: Time of the monotonic clock at which to end at the latest, s.
-        received: Signals received so far; after one, the end does not wait for a film.
+        stop_signals: Signals received so far; after one, the end does not wait for a film.
     """
     films = make_films(cfg, run, console)
     with (
-        filming(films, deadline, received) as film,
+        filming(films, deadline, stop_signals) as film,
         Report(console, runner, cfg.agent.max_iterations, deadline) as report,
     ):
 
         def after_iteration() -> None:
-            report.iterate()
+            report.update()
             film()
 
         return runner.learn(

@@ -24,7 +24,9 @@ from renet.files import read_bytes
 from renet.interface import (
     ACTION_SIZE,
     DEPTH_RANGE,
+    DEPTH_SHAPE,
     MAX_TURN,
+    NUM_FEET,
     PROPRIOCEPTION,
     TURN_GAIN,
     proprioception_slices,
@@ -100,14 +102,17 @@ def _adapter_errors(model: Model, kind: type[Adapter]) -> Iterator[None]:
         ) from error
 
 
+def _adapter_name(kind: type[Adapter]) -> str:
+    """Name an adapter by the file of its `act`."""
+    return f"adapter {Path(kind.act.__code__.co_filename).name}"
+
+
 def _place(error: Exception, kind: type[Adapter]) -> str:
     """Name an adapter, and its line at which an error arose, if it was there."""
-    file = kind.act.__code__.co_filename
-    name = f"adapter {Path(file).name}"
     for frame in reversed(extract_tb(error.__traceback__)):
-        if frame.filename == file:
-            return f"line {frame.lineno} of {name}"
-    return name
+        if frame.filename == kind.act.__code__.co_filename:
+            return f"line {frame.lineno} of {_adapter_name(kind)}"
+    return _adapter_name(kind)
 
 
 def _act(adapter: Adapter, senses: Senses) -> np.ndarray:
@@ -118,7 +123,6 @@ def _act(adapter: Adapter, senses: Senses) -> np.ndarray:
     expected = (adapter.num_robots, ACTION_SIZE)
     if target.shape == expected and np.isfinite(target).all():
         return target
-    name = Path(kind.act.__code__.co_filename).name
     if target.shape == expected:
         wrong = "that are not finite"
     elif target.shape == ():
@@ -126,7 +130,7 @@ def _act(adapter: Adapter, senses: Senses) -> np.ndarray:
     else:
         wrong = f"of shape {list(target.shape)}"
     raise RenetError(
-        f"adapter {name} with {adapter.model.name} gives joint targets {wrong}:"
+        f"{_adapter_name(kind)} with {adapter.model.name} gives joint targets {wrong}:"
         f" {list(expected)} finite ones are needed (docs/benchmark.md)"
     )
 
@@ -239,9 +243,9 @@ class AdaptedEvaluator(Evaluator):
             command=still,
             joint_position=zero + self.default_position,
             joint_velocity=zero,
-            depth=np.full((1, 48, 64), DEPTH_RANGE, np.float32),
+            depth=np.full((1, *DEPTH_SHAPE), DEPTH_RANGE, np.float32),
             velocity=still,
-            feet_contact=np.ones((1, 4), bool),
+            feet_contact=np.ones((1, NUM_FEET), bool),
         )
         adapter = self._make_adapter(1)
         with _adapter_errors(adapter.model, self.adapter):
@@ -278,7 +282,7 @@ class AdaptedEvaluator(Evaluator):
     def feet_contact(self) -> np.ndarray:
         """Return the feet on the ground in the newest environment, [N, 4] bool, if needed."""
         if not self.adapter.needs_feet_contact:
-            return np.zeros((0, 4), bool)
+            return np.zeros((0, NUM_FEET), bool)
         return self.env.feet_contact()
 
     def provenance(self, seed: int) -> Provenance:
