@@ -60,6 +60,7 @@ class Run:
     """Curves of one training run."""
 
     label: str
+    """Name of the recipe that the run is a seed of."""
     steps: np.ndarray
     """Environment steps after each iteration, [I]."""
     values: dict[str, np.ndarray] = field(repr=False)

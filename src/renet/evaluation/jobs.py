@@ -38,6 +38,7 @@ class ProgressMessage:
     """Message of a process about the part it is making."""
 
     title: str
+    """Title of the part."""
     done: int
     """Number of steps that are done."""
     total: int
@@ -49,6 +50,7 @@ class FailureMessage:
     """Message of a process that could not make a part."""
 
     reason: str
+    """Why the part could not be made."""
     correctable: bool
     """True if the reason is the message of a RenetError; else it is a traceback."""
 
@@ -58,8 +60,11 @@ class Job:
     """A process that makes parts."""
 
     process: BaseProcess
+    """The process."""
     connection: Connection
+    """This end of the connection to it."""
     bar: TaskID
+    """Its bar in the terminal."""
     parts: Sequence[str] = ()
     """Names of the parts it makes; none before the first."""
 

@@ -10,6 +10,7 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 _CAMERA = "renet_tracking_camera"
+"""Name of the camera that is added to the scene."""
 _FOVY = 40.0
 """Vertical field of view, degrees."""
 _FOCAL = 0.5 / np.tan(np.radians(_FOVY / 2))

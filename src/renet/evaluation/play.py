@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -24,7 +24,7 @@ from renet.interface import Engine, Terrain, control_steps
 
 if TYPE_CHECKING:
     from renet.evaluation.env import SimEnv
-    from renet.evaluation.evaluator import Evaluator
+    from renet.evaluation.evaluator import Evaluator, Task
 
 DEFAULT_MODES = ("switch", "memory")
 """Modes of a bundle that are compared by default."""
@@ -166,7 +166,7 @@ def run_play(cfg: PlayCfg) -> Path:
     return film(cfg.out, pictures(env.scene_spec, trace, dict(enumerate(titles)), name))
 
 
-def ground_of(cfg: PlayCfg) -> Any:
+def ground_of(cfg: PlayCfg) -> Task:
     """Return the task for `Evaluator.make_env`; raises RenetError if it cannot be built."""
     from renet.tasks.terrains import own_ground
     from renet.terrain.own_ground import GroundFile

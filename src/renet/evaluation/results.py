@@ -27,6 +27,10 @@ from renet.version import commit
 _Row = TypeVar("_Row", bound=Mapping[str, Any])
 Table = tuple[str, tuple[str, ...], list[tuple[Any, ...]]]
 """Title, header and rows."""
+MAX_RESULT_SIZE = 64_000_000
+"""Largest size of a summary or part, bytes; Python needs about 25 times as much memory."""
+PARTS_FORMAT = 6
+"""Version of the contents of parts; increase it when these change, to make older parts anew."""
 
 
 def command_line() -> str:
@@ -47,11 +51,13 @@ class Provenance:
     engine: str
     """Physics engine of the rollouts."""
     seed: int
+    """Seed of the numbers."""
     command: str = field(default_factory=command_line)
     """The command line that made the numbers; this process's by default."""
     date: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     """Date and time in UTC, ISO 8601; now by default."""
     renet_version: str = renet.__version__
+    """Version of renet."""
     commit: str | None = field(default_factory=commit)
     """Commit of the clone that renet runs from; None for an installed package."""
 
@@ -99,10 +105,6 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_atomically(path, text.encode())
 
 
-MAX_RESULT_SIZE = 64_000_000
-"""Largest size of a summary or part, bytes; Python needs about 25 times as much memory."""
-
-
 def read_results(path: Path) -> dict[str, Any]:
     """Read a file of `write_json`; raises RenetError if it is missing, damaged or too large."""
     if not path.exists():
@@ -111,10 +113,6 @@ def read_results(path: Path) -> dict[str, Any]:
         return read_object(path, "result", MAX_RESULT_SIZE)
     except RenetError as error:
         raise RenetError(f"{error}; delete it and run the study again") from error
-
-
-PARTS_FORMAT = 6
-"""Version of the contents of parts; increase it when these change, to make older parts anew."""
 
 
 class PartMaker:

@@ -27,7 +27,9 @@ class Trial:
     """One robot of one setting."""
 
     mode: str
+    """Policy mode, see `settings.StudyMode`."""
     schedule: FaultSchedule = ()
+    """Faults of its camera; none by default."""
     robot: int = 0
     """Number within its setting; robots of the same number are twins that draw the same noise."""
     ground: str = FLAT_GROUND
@@ -45,6 +47,7 @@ class EvalEnv(Protocol):
     """
 
     num_robots: int
+    """Number of robots, N."""
 
     def reset(self) -> StepResult:
         """Put every robot at its start, and simulate those again that were retired."""

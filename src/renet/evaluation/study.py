@@ -275,6 +275,7 @@ class WalkingStudy(Study):
     """Length of each run, s."""
 
     quick_robots: ClassVar[int] = 5
+    """Number of robots in each setting and mode with `quick`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -86,6 +86,7 @@ class Trace(TrueState):
     trusted: np.ndarray
     """The selector's answer after each of its U updates of a step, [T, U, N] bool."""
     film: Film | None = field(default=None, repr=False)
+    """Poses and images for films, if they were kept."""
 
     @property
     def sees(self) -> np.ndarray:

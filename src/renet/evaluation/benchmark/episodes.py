@@ -61,6 +61,7 @@ class Episode:
     number: int
     """Number of the episode, from 0."""
     obstacles: tuple[Obstacle, ...]
+    """Obstacles of the course, in their order."""
     spaces: tuple[float, ...]
     """Ground before each obstacle, m."""
     speed: float

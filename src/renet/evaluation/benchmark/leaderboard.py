@@ -60,8 +60,11 @@ class LeaderboardEntry:
     """Line of the leaderboard: an entry of one policy, or of several trainings of one method."""
 
     method: str
+    """Name of the method, the same for all its trainings."""
     name: str
+    """Name of the entry, such as memory."""
     robot: str
+    """Name of the robot."""
     trainings: tuple[Sequence[Mapping[str, Any]], ...]
     """Rows of the episodes, one sequence for each training."""
 

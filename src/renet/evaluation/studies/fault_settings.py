@@ -54,10 +54,13 @@ class Setting(NamedTuple):
     """Ground and fault of a group of robots."""
 
     ground: str
+    """Kind of ground."""
     onset: float
     """Time at which the fault begins, s."""
     fault: str
+    """Name of the fault."""
     severity: int
+    """Severity of the fault, 1 to 5."""
 
     @property
     def step(self) -> int:

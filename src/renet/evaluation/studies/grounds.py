@@ -64,6 +64,7 @@ class LevelStudy(WalkingStudy):
 
     selectable: ClassVar[tuple[str, ...]] = ("grounds",)
     kinds: ClassVar[tuple[str, ...]] = tuple(tiles())
+    """Kinds of ground that the study can walk on."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

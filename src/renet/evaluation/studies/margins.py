@@ -42,7 +42,9 @@ class MarginAxis:
     """One way in which a robot may differ from the simulated one."""
 
     title: str
+    """Name of the difference, in words."""
     unit: str
+    """Unit of the levels; empty for a number without one."""
     levels: tuple[float, ...]
     """Levels in the axis' unit, from mild to violent."""
 

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from renet.evaluation.evaluator import Evaluator
 
 _LOSS = "#3c3ca0"
+"""Colour of the anomaly score."""
 _PROBABILITY = "#64aa5f"
+"""Colour of the vision probability."""
 _NOISE_COLOURS = {
     "gaussian": ("#9ecae1", "#4292c6", "#084594"),
     "salt_and_pepper": ("#fdae6b", "#f16913", "#a63603"),

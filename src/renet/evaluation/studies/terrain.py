@@ -87,12 +87,15 @@ class TerrainStudy(WalkingStudy):
     name: ClassVar[str] = "terrain"
     selectable: ClassVar[tuple[str, ...]] = ("kinds",)
     one_try: ClassVar[bool] = False
+    """True if each robot has one try, straight at the obstacle."""
     twins: ClassVar[bool] = False
     """True if the same robots walk on every level."""
     grounds: ClassVar[tuple[str, ...]] = tuple(tiles())
+    """Kinds of ground that `kinds` may have."""
     sizes: ClassVar[Mapping[str, tuple[float, float]]] = {}
     """Sizes at levels 1 and 10, m, of the tiles that are not of the curriculum's sizes."""
     quick_levels: ClassVar[tuple[int, ...]] = tuple(range(1, LEVELS + 1))
+    """Levels with `quick`."""
     quick_robots: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
