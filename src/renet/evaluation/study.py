@@ -255,9 +255,9 @@ class Study:
             summary = self.run()
         except MissingParts as missing:
             print(missing)
-            return None
-        for title, header, rows in self.tables(summary):
-            show(title, header, rows)
+        else:
+            for table in self.tables(summary):
+                show(*table)
         return None
 
 

@@ -107,6 +107,7 @@ class RenetAlgorithm:
                 the mirror loss could use, or the dictionary has an unknown key.
         """
         needed = (*CRITIC_GROUPS, *VPEstimator.quantities, "proprioception", "depth", "difficult")
+        # Critics and estimators have groups in common, which are named once.
         groups = dict.fromkeys(needed)
         if missing := [group for group in groups if group not in obs]:
             raise RenetError(

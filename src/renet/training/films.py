@@ -50,10 +50,11 @@ class Films:
     def update(self) -> None:
         """Start a film if it is time for one; called after each iteration."""
         self._report_end()
-        if self._process is not None or self._newest_round() <= self._last_round:
+        newest = self._newest_round()
+        if self._process is not None or newest <= self._last_round:
             return
-        self._last_round = self._newest_round()
-        checkpoint = self._checkpoints()[-1]
+        self._last_round = newest
+        checkpoint = checkpoints(self._run / CHECKPOINTS)[-1]
         self._path = self._run / FILMS / f"{checkpoint.name}.mp4"
         try:
             self._process = subprocess.Popen(
@@ -88,13 +89,9 @@ class Films:
             return
         self._report_end()
 
-    def _checkpoints(self) -> list[Path]:
-        """List the checkpoints of the run, oldest first."""
-        return checkpoints(self._run / CHECKPOINTS)
-
     def _newest_round(self) -> int:
         """Return how many times `every` iterations the newest checkpoint has had."""
-        newest = self._checkpoints()[-1:]
+        newest = checkpoints(self._run / CHECKPOINTS)[-1:]
         if not newest:
             return 0
         return int(newest[0].name.removeprefix("it_")) // self._every
