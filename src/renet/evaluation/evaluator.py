@@ -55,8 +55,8 @@ class Evaluator:
 
         Args:
             bundle: Folder of the bundle; by default the one that comes with renet.
-            engine: Auto, native or warp.
-            conditions: Training, for the conditions of the bundle's task, or nominal.
+            engine: Name of the physics engine: auto, native or warp.
+            conditions: Name of the conditions: training, those of the bundle's task, or nominal.
             motors: Motors of the robots: ideal, go1, or a file of `renet identify`.
         """
         self.bundle = Bundle.load(bundle, threads=THREADS)

@@ -203,7 +203,7 @@ class Supervision:
         """Compute all losses of an estimator over the ticks that train it.
 
         Args:
-            name: Estimator, op or vp.
+            name: Name of the estimator, op or vp.
             rollout: The ticks.
 
         Returns:

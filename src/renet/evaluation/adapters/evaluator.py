@@ -212,8 +212,8 @@ class AdaptedEvaluator(Evaluator):
         Args:
             path: File of the model.
             adapter: Name of an adapter, or a Python file, see `find_adapter`.
-            engine: Auto, native or warp.
-            conditions: Training, for the conditions of that bundle's task, or nominal.
+            engine: Name of the physics engine: auto, native or warp.
+            conditions: Name of the conditions: training, those of that bundle's task, or nominal.
         """
         self.adapter = find_adapter(adapter)
         demand_name(f"adapter {adapter}: bundle", self.adapter.bundle, SHIPPED)
