@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Measures the Go2's policy that ships: every number about the Go2 in docs/results.md.
-# Takes 80 minutes on one core; parts of studies that are done are not run again.
+# Takes about 20 minutes on one core; parts of studies that are done are not run again.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 study() { # NAME COMMAND...: keeps its summary.json, of robots in nominal conditions.

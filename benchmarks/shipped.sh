@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Measures go1-parkour: its numbers and figures in docs/results.md and docs/memory.md, except those of
 # a learned gate and of VB-Com's switch (benchmarks/NOTES.md, "Other switches, ground by ground").
-# Takes hours on one core; parts of studies that are done are not run again.
+# Takes about an hour on one core; parts of studies that are done are not run again.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 study() { # NAME COMMAND...: keeps results/NAME/summary.json, of robots in nominal conditions.
