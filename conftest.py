@@ -3,6 +3,7 @@
 import gc
 import os
 import signal
+from collections.abc import Iterator
 
 import pytest
 
@@ -25,6 +26,18 @@ def frozen_imports() -> None:
     if not gc.get_freeze_count():
         gc.collect()
         gc.freeze()
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """Two threads of torch, so that policy and estimators learn at the same time."""
+    # Most tests need no torch, which takes seconds to load.
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
 
 
 def pytest_collection_finish() -> None:

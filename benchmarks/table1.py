@@ -248,10 +248,10 @@ def measured(cfg: Cfg, row: Row) -> dict[str, Any] | None:
     if results is None or results["steps"] < cfg.steps:
         return None
     names = ("robots", "quick", "seed", "speed", "seconds", "levels", "kinds", "fault")
-    # Older results do not say these.
-    unsaid = {"conditions": "nominal", "motors": IDEAL, "scene": None}
-    settings = unsaid | results["settings"]
-    same = all(settings[n] == plain(getattr(cfg.study, n)) for n in (*names, *unsaid))
+    # Older results leave these out.
+    defaults = {"conditions": "nominal", "motors": IDEAL, "scene": None}
+    settings = defaults | results["settings"]
+    same = all(settings[n] == plain(getattr(cfg.study, n)) for n in (*names, *defaults))
     return results if same else None
 
 

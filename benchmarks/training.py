@@ -115,11 +115,11 @@ def operations(env: RenetEnv) -> dict[str, float]:
 def settings(cfg: Cfg) -> TrainCfg:
     """Settings of the training: the task's, or those of the checkpoint that it goes on from."""
     if cfg.resume is None:
-        made = TrainCfg.from_task(cfg.task)
+        train_cfg = TrainCfg.from_task(cfg.task)
     else:
-        made = TrainCfg.resumed(checkpoints.load_state(checkpoints.find(cfg.resume)), cfg.task)
-    made.env.scene.num_envs = cfg.num_envs
-    return replace(made, engine=cfg.engine)
+        train_cfg = TrainCfg.resumed(checkpoints.load_state(checkpoints.find(cfg.resume)), cfg.task)
+    train_cfg.env.scene.num_envs = cfg.num_envs
+    return replace(train_cfg, engine=cfg.engine)
 
 
 def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
@@ -130,10 +130,10 @@ def profile(cfg: Cfg, folder: str) -> dict[str, Any]:
         which policy and estimators learn: at the same time on a CPU, so that `update` is less than
         their sum.
     """
-    made = settings(cfg)
+    train_cfg = settings(cfg)
     with redirect_stdout(StringIO()):
-        vec_env = make_vec_env(made, cfg.device)
-        runner = RenetRunner(vec_env, asdict(made.agent), folder, cfg.device)
+        vec_env = make_vec_env(train_cfg, cfg.device)
+        runner = RenetRunner(vec_env, asdict(train_cfg.agent), folder, cfg.device)
     env: Any = vec_env.unwrapped
     runner.open_log()
     if cfg.resume:

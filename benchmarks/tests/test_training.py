@@ -4,20 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-import torch
 
 import renet
 import training
 from training import Cfg
-
-
-@pytest.fixture
-def two_threads():
-    """Two threads of torch, so that policy and estimators learn at the same time."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
 
 
 def test_no_part_of_an_iteration_takes_less_than_nothing(tmp_path, monkeypatch, two_threads):

@@ -25,14 +25,6 @@ from ..waits import Waits
 from .conftest import ToyEnv, collect, make_runner
 
 
-@pytest.fixture
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
 def test_bfloat16_learns_what_single_precision_learns(two_threads):
     losses, models = [], []
     for kind in ("float32", "bfloat16"):
