@@ -122,6 +122,14 @@ def test_so_it_does_at_the_end_of_the_ground_seen(memory_page, tmp_path, unseen,
     assert slowest == pytest.approx(speed, abs=1e-6), "it came to the end of the ground seen"
 
 
+def test_so_it_does_where_a_robot_stands_beyond_the_ground_seen(driven_page, tmp_path):
+    bundle = Bundle.load(driven_page / "bundles" / "0")
+    given, decided = record(bundle, "gap", "unplugged:2@3.6s", "memory", straight, unseen="stop")
+    walked = [one for one in decided if one["phase"] == "walking"]
+    assert any(one["state"] == "remembers" and not one["vision"] for one in walked), "OP drives"
+    compare(driven_page, tmp_path, "memory", given, decided, "stop")
+
+
 def test_so_it_does_where_a_policy_is_told_a_twist(driven_page, tmp_path):
     bundle = Bundle.load(driven_page / "bundles" / "0")
     assert bundle.manifest.told == "twist"
@@ -157,6 +165,11 @@ def test_so_it_does_where_a_vision_model_finds_images_that_stand_still(still_pag
 def ahead(now: float) -> Velocity:
     """Ahead, later to both sides."""
     return Velocity(0.6, 0.0, 0.2 * np.cos(now) if now > 3.0 else 0.0)
+
+
+def straight(now: float) -> Velocity:
+    """Ahead."""
+    return Velocity(0.6)
 
 
 def all_round(now: float) -> Velocity:

@@ -12,8 +12,16 @@ from renet.bundle import Bundle
 from renet.errors import RenetError
 from renet.interface import CONTROL_DT, HEIGHT_MAP_X, HEIGHT_MAP_Y, STEPS_PER_TICK
 from renet.pilot import Pilot
+from renet.pilot.pilot import BEYOND
 from renet.pilot.policy import BundlePolicy
-from renet.pilot.reach import HALF_WIDTH, STOPPING_MARGIN, Reach, direction_of, slowed
+from renet.pilot.reach import (
+    HALF_WIDTH,
+    STOPPING_MARGIN,
+    Reach,
+    can_stop,
+    direction_of,
+    slowed,
+)
 
 WALKS = np.load(Path(__file__).with_name("data") / "walks.npz")
 """Recorded walks, see test_pilot."""
@@ -93,6 +101,34 @@ def test_a_slowed_twist_keeps_its_direction_and_turn():
     )
 
 
+def gap_between(start: float, end: float) -> np.ndarray:
+    """A map of level ground with a gap of 0.5 m in depth, between two places ahead, [1, 132] m."""
+    depth = [0.5 if start < x < end else 0.0 for x in HEIGHT_MAP_X]
+    return np.repeat(depth, len(HEIGHT_MAP_Y))[None]
+
+
+@pytest.mark.parametrize(
+    ("ahead", "gap", "stops"),
+    [
+        (0.6, (2.0, 2.0), False),
+        (0.4, (2.0, 2.0), True),
+        # A gap that is too near to stop before, and one that is not.
+        (0.4, (0.4, 0.8), False),
+        (0.4, (0.55, 0.9), True),
+        # Under the hind feet.
+        (0.4, (-0.4, -0.2), False),
+        (-0.2, (-0.4, -0.2), False),
+        # Beyond the end of the ground seen, a gap ahead is imagined, one below is not.
+        (-0.2, (0.2, 0.8), True),
+        (-0.2, (0.1, 0.8), False),
+        # Not for ever.
+        (-3.1, (-0.4, -0.2), True),
+    ],
+)
+def test_where_a_robot_can_stop(ahead, gap, stops):
+    assert can_stop(np.array([ahead]), gap_between(*gap))[0] == stops
+
+
 class Told:
     """Keeps the commands that a policy is told; knows how fast it walks."""
 
@@ -145,6 +181,40 @@ def test_conduct_at_the_end_of_seen_ground(conduct, speed):
     assert 1.2 - STOPPING_MARGIN - 0.1 <= walked <= 1.2 - STOPPING_MARGIN + 0.15
     assert (speeds[:first] == 0.5).all()
     assert speeds[first:] == pytest.approx(speed)
+
+
+def test_op_drives_a_robot_that_stands_beyond_the_ground_seen():
+    pilot = renet.load("go1-parkour", unseen="stop")
+    policy: Any = pilot.policy
+    told = Told(pilot, velocity=0.5)
+    steps = []
+    for step in range(400):
+        observation = WALKS["memory_observation"][step % 100][None].copy()
+        observation[:, 2] = 0.0
+        observation[:, 6:9] = (0.5, 0.0, 0.0)
+        image = None
+        # The camera is dead from 1 to 6 s.
+        if not 50 <= step < 300 and step % STEPS_PER_TICK == 0:
+            recorded = WALKS["memory_images"][step // STEPS_PER_TICK % 20][None]
+            image = recorded.astype(np.float32) / 255
+        if policy.height_map.size:
+            # On a gap until 3.6 s, then behind it; VP imagines to be on one again later.
+            on_gap = 100 <= step < 180 or step >= 240
+            policy.height_map = gap_between(-0.4, -0.2) if on_gap else gap_between(0.3, 0.9)
+        steps.append(pilot.step(observation, image, step * CONTROL_DT))
+    speeds = np.concatenate(told.commands)[:, 0]
+    vision = np.array([one.vision[0] for one in steps])
+    # It has seen 1.2 m and walked 1.3 m when the gap is behind it.
+    assert (speeds[100:180] == 0.5).all()
+    assert vision[:180].all()
+    assert (speeds[180:300] == 0.0).all()
+    assert not vision[180:300].any()
+    assert steps[200].state[0] == "blind"
+    assert steps[200].reason[0] == BEYOND
+    # It walks on with vision once it sees again.
+    assert speeds[-1] == 0.5
+    assert vision[-1]
+    assert steps[-1].state[0] == "sees"
 
 
 def test_robots_without_memory_go_on():

@@ -58,6 +58,8 @@ export class Controller {
     this.reach.reset();
     /** Whether the command leads to ground that the robot has not seen. */
     this.unseen = false;
+    /** Whether the robot has stopped at the end of that ground, and is on level ground beyond it. */
+    this.halted = this.beyond = false;
     /** The velocity that is asked for, within limits. */
     this.asked = STILL;
     this.driving = "";
@@ -99,7 +101,8 @@ export class Controller {
     this.policy.remember(this.observation);
     const fresh = this.policy.due && this.frames.take();
     if (this.policy.due) await this.look(fresh, now);
-    const vision = this.mayUseVision && this.frames.image !== null;
+    // VP imagines ground that it never saw, and robots that are told to stand leap over it.
+    const vision = this.mayUseVision && this.frames.image !== null && !this.beyond;
     const remembers = this.mode === "memory" && !this.policy.hasImage;
     this.driving = vision ? (remembers ? "remembers" : "sees") : "blind";
     this.action = await this.policy.act(this.observation, vision);
@@ -116,8 +119,18 @@ export class Controller {
     const direction = directionOf(command, this.told);
     this.unseen = this.reach.ends(direction);
     const limit = this.contract.reach.speeds[this.conduct];
-    if (limit === null || !this.unseen || !this.reach.canStop(direction, this.policy.heightMap)) return command;
+    const atEnd = this.unseen && this.reach.canStop(direction, this.policy.heightMap);
+    if (!this.unseen || limit !== 0) this.halted = this.beyond = false;
+    else if (atEnd && !this.halted) this.halt(direction);
+    if (limit === null || !(atEnd || this.halted)) return command;
     return slowed(command, this.told, limit);
+  }
+
+  /** Stop, and stay, whatever VP imagines later, while the command leads to ground that was not seen. */
+  halt(direction) {
+    this.halted = true;
+    const past = this.reach.ahead(direction) < 0;
+    this.beyond = past && this.reach.standsOnLevelGround(this.policy.heightMap);
   }
 
   /** Whether a point of the base frame is on ground that the robot has seen, m. */

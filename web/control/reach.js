@@ -5,13 +5,14 @@
 export class Reach {
   /**
    * @param {object} contract `reach` of the contract: distance and halfWidth of an image, margin within
-   *   which ground must have been seen, distance beyond its end at which any obstacle is over, all m;
-   *   footprint, the points of the height map under a robot and its next step, and the relief there, m,
-   *   on which it can stop.
+   *   which ground must have been seen, distance beyond its end at which a robot stops on any ground, all
+   *   m; underFeet and stoppingGround, the points of the height map under a robot, and also on its way
+   *   until it stands, and the largest relief there, m, on which it stops.
    * @param {number} dt seconds of a control step.
    */
-  constructor({ distance, halfWidth, margin, obstacleEnd, footprint, relief }, dt) {
-    Object.assign(this, { distance, halfWidth, margin, obstacleEnd, footprint, relief, dt });
+  constructor(contract, dt) {
+    const { distance, halfWidth, margin, obstacleEnd, underFeet, stoppingGround, relief } = contract;
+    Object.assign(this, { distance, halfWidth, margin, obstacleEnd, underFeet, stoppingGround, relief, dt });
     this.reset();
   }
 
@@ -49,14 +50,26 @@ export class Reach {
   }
 
   /**
-   * Whether a robot at the end of the ground seen can stop there; on an obstacle it goes on first.
+   * Whether a robot at the end of the ground seen can stop there; it finishes an obstacle first.
    * @param {number[]} direction as of `ahead`.
    * @param {ArrayLike<number>} heightMap VP's map of the ground around the base, m.
    */
   canStop(direction, heightMap) {
     if (!this.ends(direction)) return false;
-    if (this.ahead(direction) < -this.obstacleEnd) return true;
-    const heights = this.footprint.map((point) => heightMap[point]);
+    const ahead = this.ahead(direction);
+    if (ahead < -this.obstacleEnd) return true;
+    // Beyond that end VP only imagines what is ahead.
+    if (ahead < 0) return this.standsOnLevelGround(heightMap);
+    return this.isLevel(heightMap, this.stoppingGround);
+  }
+
+  /** Whether VP's map is level below the robot. */
+  standsOnLevelGround(heightMap) {
+    return this.isLevel(heightMap, this.underFeet);
+  }
+
+  isLevel(heightMap, points) {
+    const heights = points.map((point) => heightMap[point]);
     return Math.max(...heights) - Math.min(...heights) < this.relief;
   }
 

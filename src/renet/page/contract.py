@@ -24,12 +24,13 @@ from renet.palette import STATES, UNSEEN_AHEAD, UNSEEN_COLOUR, ink
 from renet.pilot import PILOT_MODES
 from renet.pilot.reach import (
     DISTANCE,
-    FOOTPRINT,
     HALF_WIDTH,
     LARGEST_RELIEF,
     OBSTACLE_END,
     SPEEDS,
+    STOPPING_GROUND,
     STOPPING_MARGIN,
+    UNDER_FEET,
 )
 from renet.robots import Robot, find_robot
 from renet.selector import SelectorSpec, make_selector
@@ -115,16 +116,13 @@ def contract(bundles: Sequence[Bundle]) -> dict[str, Any]:
 
 def _reach() -> dict[str, Any]:
     """Ground that an image shows, and how robots behave at its end; lengths in m, speeds in m/s."""
-    rows, columns = FOOTPRINT
-    footprint = []
-    for row in rows:
-        footprint += [row * len(HEIGHT_MAP_Y) + column for column in columns]
     return {
         "distance": DISTANCE,
         "halfWidth": HALF_WIDTH,
         "margin": STOPPING_MARGIN,
         "obstacleEnd": OBSTACLE_END,
-        "footprint": footprint,
+        "underFeet": UNDER_FEET.tolist(),
+        "stoppingGround": STOPPING_GROUND.tolist(),
         "relief": LARGEST_RELIEF,
         "speeds": {conduct: _finite(speed) for conduct, speed in SPEEDS.items()},
     }

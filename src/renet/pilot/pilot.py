@@ -47,6 +47,7 @@ from renet.pilot.reach import (
     can_stop,
     direction_of,
     slowed,
+    stands_on_level_ground,
 )
 from renet.selector import make_selector
 from renet.selector.monitors import Gate, SelectorInput
@@ -67,6 +68,8 @@ BEGAN_WITHOUT = "it began without an image"
 """Reason of a robot that has images now, and has not seen since it began without."""
 USES_NONE = "the mode blind uses no images"
 """Reason of a robot in the mode blind."""
+BEYOND = "it stands beyond the ground that it has seen"
+"""Reason of a robot that has stopped there."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +183,10 @@ class Pilot:
         self.reach = Reach(robots)
         self.unseen = np.zeros(robots, bool)
         """True where the command leads to ground that the robot has not seen, [N] bool."""
+        self._halted = np.zeros(robots, bool)
+        """True where a robot has stopped at the end of the ground that it has seen, [N] bool."""
+        self._beyond = np.zeros(robots, bool)
+        """True where such a robot is on level ground beyond what it saw: OP drives it, [N] bool."""
 
     @classmethod
     def of(
@@ -270,6 +277,8 @@ class Pilot:
         self._imageless = self._imageless & ~robots
         self.reach.reset(robots)
         self.unseen = self.unseen & ~robots
+        self._halted = self._halted & ~robots
+        self._beyond = self._beyond & ~robots
 
     @property
     def due(self) -> bool:
@@ -319,6 +328,8 @@ class Pilot:
         self._steps += 1
         policy: Any = self.policy
         observation = self._heed_unseen(observation)
+        # VP imagines ground that it never saw, and robots that are told to stand leap over it.
+        vision = vision & ~self._beyond
         self.command = observation[:, COMMAND_SLICE]
         gated = () if gate is None else (gate,)
         action = policy.step(observation, images.image, ~vision, *gated)
@@ -393,9 +404,15 @@ class Pilot:
         command = observation[:, COMMAND_SLICE]
         ahead = self.reach.ahead(direction_of(command, manifest.told))
         self.unseen = ahead < STOPPING_MARGIN
+        at_end = can_stop(ahead, policy.height_map)
+        # A robot that has stopped stays, whatever VP imagines later.
+        stops = at_end & (self._fastest == 0.0) & ~self._halted
+        beyond = stops & (ahead < 0.0) & stands_on_level_ground(policy.height_map)
+        self._halted = (self._halted & self.unseen) | stops
+        self._beyond = (self._beyond & self.unseen) | beyond
         if not self.unseen.any() or np.isinf(self._fastest).all():
             return observation
-        limit = np.where(can_stop(ahead, policy.height_map), self._fastest, np.inf)
+        limit = np.where(at_end | self._halted, self._fastest, np.inf)
         observation = observation.copy()
         observation[:, COMMAND_SLICE] = slowed(command, manifest.told, limit)
         return observation
@@ -444,7 +461,8 @@ class Pilot:
             return np.full(self.num_robots, BLIND)
         # Robots in the modes camera and blind obey no selector.
         disobedient = np.where(self._always, SEES, BLIND)
-        return np.where(self._obeys, self._obeyed("state"), disobedient)
+        state = np.where(self._obeys, self._obeyed("state"), disobedient)
+        return np.where(self._beyond, BLIND, state)
 
     def _reason(self, images: Images, state: np.ndarray) -> np.ndarray:
         """Return the reason why each robot is not in the state `sees`, [N] text."""
@@ -456,6 +474,7 @@ class Pilot:
             beginning = BEGAN_WITHOUT
         reason = np.where(self._obeys, self._obeyed("reason"), "")
         reason = np.where(self._imageless, beginning, reason)
+        reason = np.where(self._beyond, BEYOND, reason)
         return np.where(self.modes == "blind", USES_NONE, reason)
 
     def _obeyed(self, attribute: str) -> np.ndarray:

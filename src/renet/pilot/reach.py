@@ -18,20 +18,21 @@ ends there."""
 STOPPING_MARGIN = 0.5
 """Distance ahead of the base within which the ground must have been seen, m. The front feet are a
 quarter of a metre ahead, and a robot needs as much to stop."""
-OBSTACLE_END = 0.3
-"""Distance beyond the end of the ground seen at which a robot has finished any obstacle that it
-remembered, m."""
+OBSTACLE_END = 3.0
+"""Distance beyond the end of the ground seen at which a robot stops on any ground, m: as far as the
+longest stairs of training go."""
 HALF_WIDTH = max(HEIGHT_MAP_Y)
 """Distance to the left and to the right up to which VP remembers an image, m."""
-FOOTPRINT = (
-    [i for i, x in enumerate(HEIGHT_MAP_X) if abs(x) <= 0.3],
-    [i for i, y in enumerate(HEIGHT_MAP_Y) if abs(y) <= 0.15],
-)
-"""Rows and columns of the height map under a robot and its next step."""
 MAP_POINTS = np.array([(x, y) for x in HEIGHT_MAP_X for y in HEIGHT_MAP_Y])
 """Points of the height map in the base frame, [132, 2] m."""
+
+_BETWEEN_FEET = (np.abs(MAP_POINTS[:, 1]) <= 0.15) & (MAP_POINTS[:, 0] >= -0.3)
+UNDER_FEET = np.flatnonzero(_BETWEEN_FEET & (MAP_POINTS[:, 0] <= 0.15))
+"""Points of the height map under a robot that stands, indices."""
+STOPPING_GROUND = np.flatnonzero(_BETWEEN_FEET & (MAP_POINTS[:, 0] <= STOPPING_MARGIN))
+"""Points of the height map under a robot and on its way until it stands, indices."""
 LARGEST_RELIEF = 0.15
-"""Largest difference of heights within that footprint on ground on which robots stop, m."""
+"""Largest difference of heights on ground on which robots stop, m."""
 SPEEDS = {"walk": np.inf, "slow": 0.3, "stop": 0.0}
 """Largest speed towards unseen ground, m/s, by conduct."""
 
@@ -97,20 +98,29 @@ class Reach:
 def can_stop(ahead: np.ndarray, height_map: np.ndarray) -> np.ndarray:
     """Return a mask of robots that are at the end of the ground seen and can stop there, [N] bool.
 
-    A robot on an obstacle that it remembers finishes the obstacle first.
+    A robot on an obstacle that it remembers, or in front of one, finishes the obstacle first.
 
     Args:
         ahead: Distance to the end of that ground, [N] m (see `Reach.ahead`).
         height_map: VP's map of the ground around the bases, [N, 132] m.
     """
-    return (ahead < STOPPING_MARGIN) & (_on_level_ground(height_map) | (ahead < -OBSTACLE_END))
+    # Beyond that end VP only imagines what is ahead.
+    level = np.where(
+        ahead < 0.0,
+        stands_on_level_ground(height_map),
+        _is_level(height_map, STOPPING_GROUND),
+    )
+    return (ahead < STOPPING_MARGIN) & (level | (ahead < -OBSTACLE_END))
 
 
-def _on_level_ground(height_map: np.ndarray) -> np.ndarray:
-    """Return a mask of robots that remember level ground below and one step ahead, [N] bool."""
-    grid = height_map.reshape(-1, len(HEIGHT_MAP_X), len(HEIGHT_MAP_Y))
-    ground = grid[:, FOOTPRINT[0]][:, :, FOOTPRINT[1]].reshape(len(grid), -1)
-    return np.ptp(ground, axis=1) < LARGEST_RELIEF
+def stands_on_level_ground(height_map: np.ndarray) -> np.ndarray:
+    """Return a mask of robots below which VP's maps, [N, 132] m, are level, [N] bool."""
+    return _is_level(height_map, UNDER_FEET)
+
+
+def _is_level(height_map: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return a mask of robots on whose maps, [N, 132] m, the points are level, [N] bool."""
+    return np.ptp(height_map[:, points], axis=1) < LARGEST_RELIEF
 
 
 def direction_of(command: np.ndarray, told: Told) -> np.ndarray:
