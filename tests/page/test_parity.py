@@ -124,7 +124,7 @@ def test_so_it_does_at_the_end_of_the_ground_seen(memory_page, tmp_path, unseen,
 
 def test_so_it_does_where_a_robot_stands_beyond_the_ground_seen(driven_page, tmp_path):
     bundle = Bundle.load(driven_page / "bundles" / "0")
-    given, decided = record(bundle, "gap", "unplugged:2@3.6s", "memory", straight, unseen="stop")
+    given, decided = record(bundle, "gap", "unplugged:2@3.2s", "memory", straight, unseen="stop")
     walked = [one for one in decided if one["phase"] == "walking"]
     assert any(one["state"] == "remembers" and not one["vision"] for one in walked), "OP drives"
     compare(driven_page, tmp_path, "memory", given, decided, "stop")
