@@ -14,6 +14,7 @@ study commands_training commands --modes camera --conditions training
 crossing="terrain --preset success --modes camera --levels 6 7 8 10"
 on_go1_motors="$crossing --motors go1 --conditions training"
 study success $crossing --conditions nominal
+study success_fast $crossing --conditions nominal --speed 1
 study_of go1-parkour success_parkour $crossing --conditions nominal
 study success_go1 $on_go1_motors
 study_of go1-parkour success_go1_parkour $on_go1_motors
@@ -21,6 +22,7 @@ study gap_dead terrain --preset success --kinds gap --levels 6 7 8 --modes camer
     --fault unplugged --conditions nominal
 study stops terrain --preset stops --robots 20 --conditions nominal
 study backing terrain --preset backing --modes memory blind --conditions nominal
+study reach memory --preset reach --robots 30 --conditions nominal
 python benchmarks/lies.py go1-driven --json benchmarks/results/driving/lies.json
 cp results/driving/commands/commands.png docs/figures/driven.png
 python tools/tables.py --fill

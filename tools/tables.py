@@ -238,6 +238,7 @@ def driven_over(label: str) -> list[str]:
     """Who of 20 crosses with one try, by policy and motors."""
     files = {
         "go1-driven, ideal": "success",
+        "go1-driven, ideal, told 1 m/s": "success_fast",
         "go1-parkour, ideal": "success_parkour",
         "go1-driven, a Go1's": "success_go1",
         "go1-parkour, a Go1's": "success_go1_parkour",
