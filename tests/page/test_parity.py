@@ -197,4 +197,5 @@ def compare(
             assert mine[name] == its[name], f"{name} at tick {tick}"
         for name in NUMBERS if walks else ("position",):
             message = f"{name} at tick {tick}"
-            np.testing.assert_allclose(mine[name], its[name], atol=1e-4, err_msg=message)
+            # The two runtimes of ONNX add single precision in other orders.
+            np.testing.assert_allclose(mine[name], its[name], rtol=1e-4, atol=1e-4, err_msg=message)
