@@ -113,6 +113,14 @@ def test_a_robot_that_stands_across_a_gap_has_not_fallen(flight):
     assert score_run(flight, [])["crossed"] == "did not cross the gap", "it lies before the gap"
 
 
+@pytest.mark.parametrize(("at", "verdict"), [(1.8, "did not cross"), (2.0, "crossed")])
+def test_a_robot_that_stops_behind_a_gap_has_crossed_it(flight, at, verdict):
+    # It ends 1.63 m from the start; the hind feet are 0.3 m behind the base.
+    flight.header.update(terrain="gap", level=6)
+    flight.ticks["base_position"][:] = np.linspace((0.0, 0.0, 0.3), (at, 0.1, 0.3), STEPS)
+    assert score_run(flight, [])["crossed"] == f"{verdict} the gap"
+
+
 def test_an_image_that_vision_takes_for_new_though_it_is_old_is_not_sight(flight):
     flight.ticks["has_image"] = True
     flight.ticks["frame_age"][200:] = 0.5

@@ -29,6 +29,8 @@ _DROP = 1.0
 _SUNK = 0.15
 """Height of the base above the edges of a gap, m, below which it is in the gap: a trunk that lies
 across it is at 0.06, one that leaps over it above 0.25."""
+_HIND_FEET = 0.3
+"""Distance from the base back to the hind feet, m."""
 _OLD_IMAGE = 0.3
 """Age from which an image is an old one, s; a new one comes every 0.1."""
 _CROSSED = "crossed"
@@ -184,23 +186,31 @@ def on_old_image(ticks: np.ndarray) -> np.ndarray:
 def sunk_in_gap(run: Recording) -> np.ndarray:
     """Mask [T] of ticks at which a simulated robot is in the gap of its tile."""
     ticks = run.ticks
+    gap = _gap(run)
+    if gap is None:
+        return np.zeros(len(ticks), bool)
+    inner, outer = gap
+    position = ticks["base_position"]
+    # The gap is a square ring around the start.
+    ring = np.abs(position[:, :2]).max(axis=1)
+    return (ring > inner) & (ring < outer) & (position[:, 2] < _SUNK)
+
+
+def _gap(run: Recording) -> tuple[float, float] | None:
+    """Return where the gap of a simulated tile begins and ends, m from the start; None: no gap."""
     level = run.header.get("level")
     on_gap = run.header.get("terrain") == "gap"
-    if not isinstance(level, int) or not on_gap or not len(ticks) or not simulated(ticks):
-        return np.zeros(len(ticks), bool)
+    if not isinstance(level, int) or not on_gap or not len(run.ticks) or not simulated(run.ticks):
+        return None
     # Needs MuJoCo, which may not be installed on a robot.
     from renet.terrain.tiles import GapTile
 
     tile = GapTile()
-    outer = tile.island + tile.measure_at(level)
-    position = ticks["base_position"]
-    # The gap is a square ring around the start.
-    ring = np.abs(position[:, :2]).max(axis=1)
-    return (ring > tile.island) & (ring < outer) & (position[:, 2] < _SUNK)
+    return tile.island, tile.island + tile.measure_at(level)
 
 
 def _crossing(run: Recording, path: np.ndarray, sunk: bool) -> str:
-    """Say whether a robot left its simulated tile; empty without a tile.
+    """Say whether a robot left its simulated tile, or the tile's gap; empty without a tile.
 
     Args:
         run: Run with the tile in its header.
@@ -213,7 +223,10 @@ def _crossing(run: Recording, path: np.ndarray, sunk: bool) -> str:
     # Needs MuJoCo, which may not be installed on a robot.
     from renet.terrain.tiles import TILE
 
-    done = np.abs(path[:, :2]).max(initial=0.0) > TILE / 2
+    # A robot may stop behind a gap that it has crossed.
+    gap = _gap(run)
+    end = TILE / 2 if gap is None else gap[1] + _HIND_FEET
+    done = np.abs(path[:, :2]).max(initial=0.0) > end
     verdict = _CROSSED if done else _FELL_INTO if sunk else "did not cross"
     return f"{verdict} the {terrain.replace('_', ' ')}"
 
