@@ -405,17 +405,29 @@ class Pilot:
         ahead = self.reach.ahead(direction_of(command, manifest.told))
         self.unseen = ahead < STOPPING_MARGIN
         at_end = can_stop(ahead, policy.height_map)
-        # A robot that has stopped stays, whatever VP imagines later.
-        stops = at_end & (self._fastest == 0.0) & ~self._halted
-        beyond = stops & (ahead < 0.0) & stands_on_level_ground(policy.height_map)
-        self._halted = (self._halted & self.unseen) | stops
-        self._beyond = (self._beyond & self.unseen) | beyond
+        self._halt(at_end & (self._fastest == 0.0), ahead)
         if not self.unseen.any() or np.isinf(self._fastest).all():
             return observation
         limit = np.where(at_end | self._halted, self._fastest, np.inf)
         observation = observation.copy()
         observation[:, COMMAND_SLICE] = slowed(command, manifest.told, limit)
         return observation
+
+    def _halt(self, stops: np.ndarray, ahead: np.ndarray) -> None:
+        """Keep which robots have stopped at the end of the ground seen, and which are beyond it.
+
+        A robot that has stopped stays, whatever VP imagines later, until it sees again or its
+        command leads elsewhere.
+
+        Args:
+            stops: True for robots that are at that end and have to stop, [N] bool.
+            ahead: Distance to that end, [N] m (see `Reach.ahead`).
+        """
+        policy: Any = self.policy
+        stops = stops & ~self._halted
+        beyond = stops & (ahead < 0.0) & stands_on_level_ground(policy.height_map)
+        self._halted = (self._halted & self.unseen) | stops
+        self._beyond = (self._beyond & self.unseen) | beyond
 
     def _check_time(self, now: float) -> None:
         """Raise RenetError unless time is finite, and not before that of the newest step."""
