@@ -10,6 +10,15 @@ import redraw
 FIGURES = redraw.ROOT / "docs" / "figures"
 
 
+def test_an_unknown_figure_is_refused_with_those_that_there_are(capsys):
+    with pytest.raises(SystemExit) as stop:
+        redraw.parse_names(["memory", "gap"])
+    assert stop.value.code == 2
+    assert "no figure 'gap': choose among crossed" in capsys.readouterr().err
+    assert redraw.parse_names(["memory"]) == ["memory"]
+    assert redraw.parse_names([]) == []
+
+
 @pytest.mark.parametrize("name", redraw.FIGURES)
 def test_a_figure_is_drawn_with_the_origin_of_its_results(tmp_path, name):
     redraw.main([name], tmp_path)

@@ -6,6 +6,7 @@ benchmarks/go2.sh make the results. noise.png cannot be drawn so: its curves are
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from collections.abc import Mapping
@@ -116,5 +117,16 @@ def main(names: list[str], folder: Path = ROOT / "docs" / "figures") -> None:
             save_figure(draw(summary), folder / f"{name}.png", origin(summary))
 
 
+def parse_names(arguments: list[str]) -> list[str]:
+    """Parse the names of figures; ends the program with code 2 for an unknown one."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(FIGURES))
+    names: list[str] = parser.parse_args(arguments).names
+    for name in names:
+        if name not in FIGURES:
+            parser.error(f"no figure {name!r}: choose among {', '.join(FIGURES)}")
+    return names
+
+
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(parse_names(sys.argv[1:]))
