@@ -198,6 +198,20 @@ def test_deviation_of_actions_stays_below_its_schedule():
     assert std[0].item() == pytest.approx(0.05, rel=0.1)
 
 
+def test_a_finished_policy_explores_again_as_its_schedule_says():
+    algorithm = small(initial_std=0.1, min_std="0.4@0,0.2@10M", num_learning_epochs=1)
+    rollout, last = random_rollout(algorithm)
+    # One joint's deviation is above the limit already: it stays free.
+    with torch.no_grad():
+        algorithm.actor.log_std[0] = np.log(0.6)
+    algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0, steps=5e6)
+    std = algorithm.actor.log_std.detach().exp()
+    torch.testing.assert_close(std[1:], torch.full((11,), 0.3))
+    assert std[0].item() == pytest.approx(0.6, rel=0.1)
+    with pytest.raises(RenetError, match=r"min_std must be at least 0"):
+        np3o.NP3OCfg(min_std=-0.1)
+
+
 @pytest.mark.parametrize("limit", [0.0, "-0.1@0,0.2@1M"])
 def test_deviation_of_nothing_is_refused(limit):
     with pytest.raises(RenetError, match=r"max_std must be above 0"):

@@ -43,10 +43,11 @@ class Actor(nn.Module):
         """Compute log-probabilities [...] of actions [..., 12], given the policy's means."""
         return self._around(mean).log_prob(action).sum(-1)
 
-    def limit_std(self, limit: float) -> None:
-        """Lower the standard deviations that are above a limit to the limit."""
+    def limit_std(self, smallest: float, largest: float) -> None:
+        """Clamp the standard deviations; where the limits contradict, the largest one holds."""
+        low = math.log(smallest) if smallest > 0.0 else -math.inf
         with torch.no_grad():
-            self.log_std.clamp_(max=math.log(limit))
+            self.log_std.clamp_(low, math.log(largest))
 
     def _around(self, mean: Tensor) -> Normal:
         """Return the action distribution with a mean."""

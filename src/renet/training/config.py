@@ -56,6 +56,9 @@ class NP3OCfg:
     max_std: Schedule | None = None
     """Largest standard deviation of actions, which each update keeps; None is no limit. With much
     noise a robot moves although its mean action stands, and nothing teaches the mean to start."""
+    min_std: Schedule = 0.0
+    """Smallest standard deviation of actions, which each update keeps; 0 is no limit. It lets a
+    finished policy, whose noise is low, explore again, such as on another robot."""
     value_loss: float = 1.0
     """Weight of the critics' loss."""
     max_grad_norm: float = 1.0
@@ -82,6 +85,8 @@ class NP3OCfg:
             value_at(schedule, 0.0)
         if self.max_std is not None and not lowest(self.max_std) > 0.0:
             raise RenetError(f"algorithm.max_std must be above 0, got {self.max_std}")
+        if not lowest(self.min_std) >= 0.0:
+            raise RenetError(f"algorithm.min_std must be at least 0, got {self.min_std}")
 
 
 @dataclass

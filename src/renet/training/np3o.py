@@ -5,6 +5,7 @@ the clipped surrogate of its normalised cost advantage and V_i the distance of i
 its budget, on the same scale. A constraint that is kept adds nothing.
 """
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
@@ -226,8 +227,8 @@ class NP3O:
                 for index in order.chunk(self.cfg.num_mini_batches):
                     history.append(self._step(batch, targets, index, old_std))
         # Only now: until here the ratios compare with the deviation of the rollout.
-        if self.cfg.max_std is not None:
-            self.actor.limit_std(value_at(self.cfg.max_std, steps))
+        largest = math.inf if self.cfg.max_std is None else value_at(self.cfg.max_std, steps)
+        self.actor.limit_std(value_at(self.cfg.min_std, steps), largest)
 
         # Average the losses over gradient steps.
         losses = {}
