@@ -25,7 +25,7 @@ def test_motors_are_found_by_name_or_file(tmp_path, fit):
 def test_motors_of_another_robot_are_refused(tmp_path, fit):
     path = tmp_path / "motors.json"
     write_motors(path, fit)
-    with pytest.raises(RenetError, match="drives a Unitree Go2"):
+    with pytest.raises(RenetError, match="a Unitree Go1's, and this robot is a Unitree Go2"):
         find_motors("go1", "Unitree Go2")
     with pytest.raises(RenetError, match="not of a Unitree Go1"):
         find_motors(str(path), "Unitree Go1")

@@ -10,7 +10,8 @@ from renet.errors import RenetError
 from renet.interface import JOINTS
 from renet.motor_models.network import read_network
 from renet.motors import MotorFit, MotorParameters
-from renet.tasks.motor_models import use_motors
+from renet.tasks import env_cfg
+from renet.tasks.motor_models import NetworkActuator, use_motors
 from renet.tasks.parkour_env_cfg import flat_env_cfg, randomize
 
 NETWORK = read_network()
@@ -26,13 +27,13 @@ def task(motors):
     """A flat task whose robots do not fall."""
     cfg = flat_env_cfg(play=True)
     cfg.terminations = {"time_out": cfg.terminations["time_out"]}
-    use_motors(cfg, motors)
+    use_motors(cfg.scene.entities["robot"], cfg.motors, motors)
     return cfg
 
 
 def test_ideal_motors_change_nothing():
     plain, cfg = flat_env_cfg(play=True), flat_env_cfg(play=True)
-    use_motors(cfg, None)
+    use_motors(cfg.scene.entities["robot"], cfg.motors, None)
     assert cfg.scene.entities["robot"].articulation == plain.scene.entities["robot"].articulation
     assert cfg.motors == plain.motors
 
@@ -94,18 +95,40 @@ def test_measured_motors_reach_the_model(build):
     assert stiffness.std(dim=1).min() > 0.5, "randomised as ever"
 
 
+def test_a_task_names_the_model_of_its_motors(build):
+    """Training on a network has an observation of every robot's parameters, as with servos."""
+    cfg = env_cfg("Renet-Go1-Flat")
+    cfg.motors.model = "go1"
+    env = build(cfg, 2)
+    assert all(isinstance(actuator, NetworkActuator) for actuator in env.scene["robot"].actuators)
+    privileged = env.reset()[0]["privileged"]
+    assert privileged.isfinite().all()
+    assert (privileged[:, -12:] == 1.0).all()
+    # The configuration is the caller's, and can be used again.
+    assert cfg.scene.entities["robot"].articulation == (
+        env_cfg("Renet-Go1-Flat").scene.entities["robot"].articulation
+    )
+
+
+def test_a_robot_has_no_motors_of_another(build):
+    cfg = env_cfg("Renet-Go2-Flat")
+    cfg.motors.model = "go1"
+    with pytest.raises(RenetError, match="measure its own with `renet identify`"):
+        build(cfg, 1)
+
+
 def test_a_network_refuses_what_it_cannot_delay():
     cfg = flat_env_cfg(play=True)
     randomize(cfg, action_delay=0.02)
     with pytest.raises(RenetError, match="neither delays"):
-        use_motors(cfg, NETWORK)
+        use_motors(cfg.scene.entities["robot"], cfg.motors, NETWORK)
 
 
 def test_delays_of_actuators_stay():
     cfg = flat_env_cfg(play=True)
     for actuator in cfg.scene.entities["robot"].articulation.actuators:
         actuator.delay_min_lag = actuator.delay_max_lag = 4
-    use_motors(cfg, NETWORK)
+    use_motors(cfg.scene.entities["robot"], cfg.motors, NETWORK)
     actuators = cfg.scene.entities["robot"].articulation.actuators
     assert {actuator.delay_max_lag for actuator in actuators} == {4}
     assert {actuator.effort_limit for actuator in actuators} == {23.7, 35.55}

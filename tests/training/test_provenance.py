@@ -95,6 +95,7 @@ def test_numbers_out_of_bounds_are_named(registered, stored, name, value):
         # These are None in the task.
         ("agent.num_steps_per_env", 40),
         ("env.motors.no_load_speed", [0.9, 1.4]),
+        ("env.motors.model", "go1"),
     ],
 )
 def test_what_shapes_the_policy_comes_back(registered, stored, name, value):

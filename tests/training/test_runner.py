@@ -167,12 +167,13 @@ def test_impossible_settings_are_refused(make, message):
         make()
 
 
-def test_motors_that_an_environment_does_not_have_are_refused():
+@pytest.mark.parametrize("motors", [{"target_delay": (0.0, 0.02)}, {"model": "go1"}])
+def test_motors_that_an_environment_does_not_have_are_refused(motors):
     """As by mjlab's own `train`, whose environments know nothing of delays."""
     env = ToyEnv()
     env.cfg = SimpleNamespace(motors=MotorsCfg())
     make_runner(env)
-    env.cfg.motors.target_delay = (0.0, 0.02)
+    env.cfg.motors = MotorsCfg(**motors)
     with pytest.raises(RenetError, match="mjlab's own train has ideal motors"):
         make_runner(env)
     env.motors = object()

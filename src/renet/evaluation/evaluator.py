@@ -29,7 +29,6 @@ from renet.robots import Robot
 from renet.selector import make_selector
 from renet.sim.threads import THREADS
 from renet.tasks import RenetEnvCfg
-from renet.tasks.motor_models import use_motors
 from renet.tasks.sensors import depth_camera
 
 StudyTerrain = str | Mapping[str, int] | TerrainEntityCfg
@@ -62,8 +61,10 @@ class Evaluator:
         self.bundle = Bundle.load(bundle, threads=THREADS)
         self.engine = engine
         self.conditions = conditions
-        self.motors = find_motors(motors, self.bundle.manifest.robot.name)
-        """Motors of the robots; None: ideal ones."""
+        self.motors = motors
+        """Name or file of the robots' motors."""
+        # Wrong motors are refused before a study begins.
+        find_motors(motors, self.bundle.manifest.robot.name)
 
     @property
     def robot(self) -> Robot:
@@ -153,7 +154,7 @@ class Evaluator:
         if camera_noise is None:
             camera_noise = self.bundle.manifest.camera.noise_std
         depth_camera(cfg).noise.gaussian_std = camera_noise
-        use_motors(cfg, self.motors)
+        cfg.motors.model = self.motors
         self.env = SimEnv(cfg, robots, seed, self.engine)
         """The newest environment, for policies that need the simulator's truth."""
         return self.env

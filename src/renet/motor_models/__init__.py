@@ -32,7 +32,7 @@ def find_motors(name: str, robot: str) -> MotorModel | None:
         network = read_network()
         if robot != network.robot:
             raise RenetError(
-                f"--motors {NETWORK} are a {network.robot}'s, and this bundle drives a {robot}: "
+                f"the motors {NETWORK} are a {network.robot}'s, and this robot is a {robot}: "
                 "measure its own with `renet identify`"
             )
         return network
@@ -52,6 +52,5 @@ def _demand_file(name: str) -> None:
     """Raise RenetError for a name that is neither known nor a file's."""
     if not Path(name).exists():
         raise RenetError(
-            f"--motors must be {IDEAL}, {NETWORK} or a file of `renet identify`; there is no "
-            f"{name!r}"
+            f"motors must be {IDEAL}, {NETWORK} or a file of `renet identify`; there is no {name!r}"
         )

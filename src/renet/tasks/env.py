@@ -17,11 +17,13 @@ from mjlab.tasks.registry import list_tasks, load_env_cfg
 from torch import Tensor
 
 from renet.errors import RenetError, unknown_name
+from renet.motor_models import find_motors
 from renet.robots import Robot
 from renet.sim.motors import Motors
 from renet.sim.native.engine import use_engine
 from renet.sim.threads import one_torch_thread
 from renet.tasks.entity import VISUAL_GO1
+from renet.tasks.motor_models import use_motors
 from renet.tasks.motors import MotorsCfg, RandomMotors
 
 
@@ -32,7 +34,7 @@ class RenetEnvCfg(ManagerBasedRlEnvCfg):
     robot: Robot = VISUAL_GO1
     """Robot in the scene; `renet export` writes its gains and pose into a bundle."""
     motors: MotorsCfg = field(default_factory=MotorsCfg)
-    """Delays of joint targets, and torque–speed curves."""
+    """Model of the motors, delays of joint targets, and torque–speed curves."""
 
     def __post_init__(self) -> None:
         # False for NaN, too.
@@ -46,8 +48,11 @@ class RenetEnv(ManagerBasedRlEnv):
     cfg: RenetEnvCfg
 
     def __init__(self, cfg: RenetEnvCfg, device: str, render_mode: str | None = None) -> None:
-        # A copy: this environment's decimation changes below, and callers reuse configurations.
-        super().__init__(deepcopy(cfg), device, render_mode)
+        # A copy: motors and decimation change below, and callers reuse configurations.
+        own_cfg = deepcopy(cfg)
+        motors = find_motors(cfg.motors.model, cfg.robot.name)
+        use_motors(own_cfg.scene.entities["robot"], own_cfg.motors, motors)
+        super().__init__(own_cfg, device, render_mode)
         self.task_cfg = cfg
         """Configuration as the caller gave it."""
         self.motors = self._make_motors()

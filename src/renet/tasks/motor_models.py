@@ -9,7 +9,7 @@ import mujoco_warp as mjwarp
 import torch
 from mjlab.actuator import BuiltinPositionActuatorCfg, IdealPdActuator, IdealPdActuatorCfg
 from mjlab.actuator.actuator import ActuatorCfg, ActuatorCmd
-from mjlab.entity import Entity
+from mjlab.entity import Entity, EntityCfg
 from torch import Tensor
 
 from renet.errors import RenetError
@@ -17,7 +17,7 @@ from renet.interface import JOINTS
 from renet.motor_models import MotorModel
 from renet.motor_models.network import SAMPLES, MotorNetwork
 from renet.motors import MotorFit
-from renet.tasks.env import RenetEnvCfg
+from renet.tasks.motors import MotorsCfg
 
 
 @dataclass(kw_only=True)
@@ -88,13 +88,14 @@ def _push(samples: Tensor, newest: Tensor) -> Tensor:
     return torch.cat((newest.unsqueeze(-1), samples[..., :-1]), dim=-1)
 
 
-def use_motors(cfg: RenetEnvCfg, motors: MotorModel | None) -> None:
-    """Replace the motors of a task's robot, in place.
+def use_motors(robot: EntityCfg, cfg: MotorsCfg, motors: MotorModel | None) -> None:
+    """Replace the motors of a robot, in place.
 
     Delays of the actuators stay; those of measured motors are added.
 
     Args:
-        cfg: The task.
+        robot: The robot of a task.
+        cfg: The task's motors, to which delays are added.
         motors: Measured motors or a network; None changes nothing.
 
     Raises:
@@ -102,15 +103,15 @@ def use_motors(cfg: RenetEnvCfg, motors: MotorModel | None) -> None:
     """
     if motors is None:
         return
-    articulation = cfg.scene.entities["robot"].articulation
+    articulation = robot.articulation
     assert articulation is not None
     if isinstance(motors, MotorFit):
         servos = [_measured_servo(articulation.actuators, joint, motors) for joint in JOINTS]
         articulation.actuators = tuple(servos)
         delay = motors.array("delay").tolist()
-        cfg.motors.joint_delay = dict(zip(JOINTS, delay, strict=True))
+        cfg.joint_delay = dict(zip(JOINTS, delay, strict=True))
     else:
-        if not cfg.motors.ideal:
+        if not cfg.ideal:
             raise RenetError("a network of motors takes neither delays nor torque–speed curves")
         networks = []
         for servo in articulation.actuators:

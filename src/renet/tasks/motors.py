@@ -1,4 +1,4 @@
-"""Random delays of joint targets and torque–speed curves of a task's robots."""
+"""Motors of a task's robots: their model, delays of joint targets and torque–speed curves."""
 
 from __future__ import annotations
 
@@ -12,14 +12,18 @@ from torch import Tensor
 
 from renet.errors import RenetError
 from renet.interface import PHYSICS_DT
+from renet.motor_models import IDEAL
 from renet.robots import Robot
 from renet.sim.motors import Motors
 
 
 @dataclass(kw_only=True)
 class MotorsCfg:
-    """Delays and torque–speed curves of the motors; by default there are none."""
+    """Motors of a task's robots; by default MuJoCo's servos, without delays and curves."""
 
+    model: str = IDEAL
+    """ideal: MuJoCo's servos. go1: a network of a real Go1's motors, which takes neither delays nor
+    torque–speed curves. Or a file of `renet identify`."""
     target_delay: tuple[float, float] = (0.0, 0.0)
     """Shortest and longest delay of joint targets, s, in whole physics steps. Each robot draws one
     delay for all its joints at the beginning of each episode."""
@@ -32,7 +36,7 @@ class MotorsCfg:
 
     @property
     def ideal(self) -> bool:
-        """True for motors without delays and torque–speed curves."""
+        """True if nothing is added to the model: neither delays nor torque–speed curves."""
         return self.max_lag == 0 and self.no_load_speed is None
 
     @property

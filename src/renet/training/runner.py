@@ -17,6 +17,7 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from renet.errors import RenetError
+from renet.motor_models import IDEAL
 from renet.tasks import mdp
 from renet.training import checkpoint as checkpoints
 from renet.training import distributed
@@ -51,7 +52,8 @@ class RenetRunner(OnPolicyRunner):
     ) -> None:
         task = cast(Any, env).unwrapped
         motors = getattr(task.cfg, "motors", None)
-        if motors is not None and not motors.ideal and not hasattr(task, "motors"):
+        special = motors is not None and not (motors.ideal and motors.model == IDEAL)
+        if special and not hasattr(task, "motors"):
             raise RenetError(
                 "mjlab's own train has ideal motors, and this task has others (--env.motors): "
                 "train it by `renet train`"

@@ -92,7 +92,8 @@ class physical_parameters:
     """Random physical parameters of the robots, [N, 1 + 3 + 1 + 12 + 12].
 
     These are the change of the trunk's mass (kg), the offset of its centre of mass (m), the feet's
-    friction, and stiffness and damping of the servos as ratios of the nominal ones.
+    friction, and stiffness and damping of the servos as ratios of the nominal ones. The ratios are
+    1 for motors that are no servos.
 
     Parameters:
         trunk: The trunk's body.
@@ -114,5 +115,7 @@ class physical_parameters:
         com = model.body_ipos[:, body].flatten(1) - nominal("body_ipos")[body].flatten()
         stiffness = model.actuator_gainprm[:, :, 0] / nominal("actuator_gainprm")[:, 0]
         damping = model.actuator_biasprm[:, :, 2] / nominal("actuator_biasprm")[:, 2]
+        # Motors whose torques are computed outside MuJoCo have no damping in its model: 0 / 0.
+        damping = torch.where(damping.isnan(), 1.0, damping)
         friction = model.geom_friction[:, self._geom, 0]
         return torch.cat((mass, com, friction, stiffness, damping), dim=-1)
