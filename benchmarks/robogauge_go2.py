@@ -45,7 +45,7 @@ from renet.evaluation.adapters.base import LEFT_FIRST
 from renet.files import write_atomically
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 
-MANIFEST = read_manifest(pretrained("go2-parkour"))
+MANIFEST = read_manifest(pretrained("go2-driven"))
 ROBOT = MANIFEST.robot
 COMMAND = proprioception_slices()["command"]
 SCALES = {term.name: term.scale for term in PROPRIOCEPTION}

@@ -20,7 +20,7 @@ SCENE = (*WALK, "--scene")
 REPLAY = ("deploy", "--camera", "replay", "--recording")
 FLAT = ("train", "Renet-Go1-Flat")
 TRAIN = (*FLAT, "--config")
-SHIPS = "go1-parkour or go1-driven or go2-parkour, which ship"
+SHIPS = "go1-parkour or go1-driven or go2-parkour or go2-driven, which ship"
 
 MISTAKES: dict[tuple[str, ...], tuple[str, str]] = {
     # Names: the nearest ones, or all.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -214,10 +214,17 @@ def go2(label: str) -> list[str]:
     return [", ".join(passed[kind, level] for level in sizes[kind]) for kind in sizes]
 
 
-def driven(label: str) -> list[str]:
-    """What robots did of a command in each of three studies, and how many fell."""
+NOMINAL = (("commands", "camera"), ("commands", "blind"))
+GO2_NOMINAL = (("go2_commands", "camera"), ("go2_commands", "blind"))
+"""Study and mode of each column of velocities."""
+
+
+def driven(
+    label: str,
+    studies: Sequence[tuple[str, str]] = (*NOMINAL, ("commands_training", "camera")),
+) -> list[str]:
+    """What robots did of a command in each of some studies, and how many fell."""
     command = [float(number.replace("−", "-")) for number in label.split(", ")]
-    studies = (("commands", "camera"), ("commands", "blind"), ("commands_training", "camera"))
     cells = []
     for study, mode in studies:
         runs = runs_of(f"driving/{study}")
@@ -229,11 +236,6 @@ def driven(label: str) -> list[str]:
     return cells
 
 
-def driven_nominal(label: str) -> list[str]:
-    """What robots did of a command in nominal conditions, with their camera and blind."""
-    return driven(label)[:2]
-
-
 def driven_over(label: str) -> list[str]:
     """Who of 20 crosses with one try, by policy and motors."""
     files = {
@@ -242,6 +244,9 @@ def driven_over(label: str) -> list[str]:
         "go1-parkour, ideal": "success_parkour",
         "go1-driven, a Go1's": "success_go1",
         "go1-parkour, a Go1's": "success_go1_parkour",
+        "go2-driven": "go2_success",
+        "go2-driven, told 1 m/s": "go2_success_fast",
+        "go2-parkour": "go2_success_parkour",
     }
     file = files[label.replace("`", "")]
     passed = {}
@@ -296,13 +301,15 @@ TABLES: dict[tuple[str, str], Callable[[str], list[str]]] = {
     ("docs/results.md", "Grass"): grass,
     ("docs/results.md", "Other switches"): switches,
     ("docs/results.md", "Standing"): standing,
-    ("docs/results.md", "Driven on flat ground"): driven_nominal,
+    ("docs/results.md", "Driven on flat ground"): partial(driven, studies=NOMINAL),
     ("docs/results.md", "Driven over obstacles"): driven_over,
     ("docs/results.md", "Driven without a camera"): driven_without_camera,
     ("docs/results.md", "Driven to edges"): driven_to_edges,
     ("docs/memory.md", "Where memory ends"): reach,
     ("docs/memory.md", "Measure it"): partial(black, studies=("blackout",)),
     ("docs/results.md", "Go2, one try"): go2,
+    ("docs/results.md", "Go2, driven on flat ground"): partial(driven, studies=GO2_NOMINAL),
+    ("docs/results.md", "Go2, driven over obstacles"): driven_over,
     ("docs/results.md", "Go2, black images"): partial(black, studies=("../go2/blackout",)),
     ("docs/results.md", "Go2, single faults"): partial(crossed, study="../go2/severity_5"),
     ("docs/benchmark.md", "The lead of memory"): lead_of_memory,

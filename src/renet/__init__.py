@@ -23,7 +23,7 @@ def load(
 
     Args:
         bundle: its folder, or the name of one that ships: `go1-parkour`, `go1-driven`,
-            `go2-parkour`; or `hf://owner/name` on the Hugging Face Hub.
+            `go2-parkour`, `go2-driven`; or `hf://owner/name` on the Hugging Face Hub.
         robots: number of robots, N.
         mode: `memory`, `switch`, `camera` or `blind` for all robots, or a list of N.
         unseen: what robots of the mode `memory` do at the end of the ground that they have seen:

@@ -83,7 +83,7 @@ def test_a_folder_comes_before_the_bundle_that_ships_under_its_name(bundle_path,
     [
         ("go1-parcour", "did you mean go1-parkour"),
         ("someone/walks", "is hf://someone/walks"),
-        ("mine", "or go1-parkour or go1-driven or go2-parkour, which ship"),
+        ("mine", "or go1-parkour or go1-driven or go2-parkour or go2-driven, which ship"),
     ],
 )
 def test_a_name_of_no_bundle_is_answered_with_what_to_write(tmp_path, monkeypatch, name, words):
@@ -159,7 +159,8 @@ def test_the_shipped_bundle_is_the_one_its_results_name():
 
 def test_the_results_of_the_driven_robot_are_those_of_the_bundle_that_ships():
     folder = Path(__file__).parents[2] / "benchmarks" / "results" / "driving"
-    hashes = {"go1-driven": set(), "go1-parkour": set()}
+    names = ("go1-driven", "go1-parkour", "go2-driven", "go2-parkour")
+    hashes = {name: set() for name in names}
     for path in folder.glob("*.json"):
         result = json.loads(path.read_text())
         if "bundle_sha256" in result:

@@ -34,7 +34,7 @@ from renet.errors import RenetError
 from renet.files import MAX_JSON, is_temporary, read_bytes, read_object, write_atomically
 from renet.folders import demand_own, write_folder
 
-SHIPPED = ("go1-parkour", "go1-driven", "go2-parkour")
+SHIPPED = ("go1-parkour", "go1-driven", "go2-parkour", "go2-driven")
 """Names of the bundles that ship with the package."""
 DEFAULT = SHIPPED[0]
 """Name of the bundle that is loaded where none is named."""

@@ -32,7 +32,7 @@ class CardCfg:
     """Folder for README.md, which may be the bundle's own."""
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or the name of one that ships: go1-parkour (the default), go1-driven,
-    go2-parkour; or hf://OWNER/NAME on the Hugging Face Hub."""
+    go2-parkour, go2-driven; or hf://OWNER/NAME on the Hugging Face Hub."""
     results: Path | None = None
     """Folder of studies of this bundle, each with the summary.json of `renet evaluate`."""
     license: str = "apache-2.0"

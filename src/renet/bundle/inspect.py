@@ -51,7 +51,7 @@ class InspectCfg:
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or the name of one that ships: go1-parkour (the default), go1-driven,
-    go2-parkour; or hf://OWNER/NAME on the Hugging Face Hub."""
+    go2-parkour, go2-driven; or hf://OWNER/NAME on the Hugging Face Hub."""
 
 
 def inspect(cfg: InspectCfg) -> None:

@@ -41,8 +41,8 @@ class DeployCfg:
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or the name of one that ships: go1-parkour (the default), go1-driven (walks
-    backward and sideways, too), go2-parkour (that of --robot go2); or hf://OWNER/NAME on the
-    Hugging Face Hub."""
+    backward and sideways, too), go2-parkour (that of --robot go2), go2-driven; or hf://OWNER/NAME
+    on the Hugging Face Hub."""
     robot: str = "mujoco"
     """mujoco: simulated in this process. go1: a Unitree Go1 in low-level mode. go2: a Unitree Go2
     EDU on a cable. Or the name of a robot that an installed package adds. Its own options are

@@ -11,7 +11,7 @@ from renet.interface import CONTROL_DT, MAX_TURN, TURN_GAIN, Told
 
 MAX_LEAD = math.pi / 2
 """Largest angle from the robot's heading to the wished one, rad, as in training."""
-FORWARD_ONLY = "this policy cannot walk backward or sideways; go1-driven, for the Go1, can"
+FORWARD_ONLY = "this policy cannot walk backward or sideways; go1-driven and go2-driven can"
 """Reason of a refusal."""
 
 

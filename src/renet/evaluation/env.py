@@ -308,7 +308,7 @@ class SimEnv:
         if not isinstance(command, DriveCommand):
             raise RenetError(
                 "the bundle's policy is told a speed and a heading: it cannot be asked to walk"
-                " backward or sideways; take --bundle go1-driven, or train one"
+                " backward or sideways; take --bundle go1-driven or go2-driven, or train one"
             )
         command.fixed_twist = torch.as_tensor(twists, dtype=torch.float32)
 

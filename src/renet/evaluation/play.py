@@ -39,8 +39,8 @@ class PlayCfg(PolicyOptions):
 
     bundle: tyro.conf.Positional[Path | None] = None
     """Bundle folder, or a checkpoint or run folder; or the name of a bundle that comes with renet:
-    go1-parkour (the default), go1-driven, go2-parkour; or hf://OWNER/NAME on the Hugging Face
-    Hub."""
+    go1-parkour (the default), go1-driven, go2-parkour, go2-driven; or hf://OWNER/NAME on the
+    Hugging Face Hub."""
     out: Path = Path("results/play.mp4")
     """The film."""
     terrain: Terrain | Literal["parkour"] = "gap"

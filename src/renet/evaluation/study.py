@@ -71,7 +71,7 @@ class Study:
     """Folder for summary.md, summary.json, summary.csv, figures and parts/."""
     bundle: Path | None = None
     """Bundle folder, or the name of one that ships: go1-parkour (the default), go1-driven,
-    go2-parkour; or hf://OWNER/NAME on the Hugging Face Hub."""
+    go2-parkour, go2-driven; or hf://OWNER/NAME on the Hugging Face Hub."""
     quick: bool = False
     """Take fewer robots and settings."""
     seed: int = 1
