@@ -3,11 +3,11 @@
 RoboGauge (github.com/wty-yy/RoboGauge, arXiv 2602.00678, MIT) is used as it is. This program adds
 the robot `renet` to its register and runs its benchmark, in an environment that has both:
 
-    python benchmarks/referee.py --out go2_blind.pt
+    python benchmarks/referee.py benchmarks/go2_driven --out go2_driven_blind.pt
     PYTHONPATH=ROBOGAUGE:src python benchmarks/robogauge_go2.py --task-name renet \
-        --model-path go2_blind.pt --headless --json renet.json
+        --model-path go2_driven_blind.pt --headless --json renet.json
 
-Other options are RoboGauge's own; `--task-name go2_moe` scores its mixture of experts. Results of
+`--bundle` names the shipped bundle of these weights. Other options are RoboGauge's own; `--task-name go2_moe` scores its mixture of experts. Results of
 one run are comparable with those of runs with the same grounds, frictions and seeds.
 """
 
@@ -45,7 +45,16 @@ from renet.evaluation.adapters.base import LEFT_FIRST
 from renet.files import write_atomically
 from renet.interface import PROPRIOCEPTION, proprioception_slices
 
-MANIFEST = read_manifest(pretrained("go2-driven"))
+
+def bundle_option() -> argparse.ArgumentParser:
+    """Return a parser of `--bundle` alone."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--bundle", default="go2-driven")
+    return parser
+
+
+# RoboGauge's processes have the same command line.
+MANIFEST = read_manifest(pretrained(bundle_option().parse_known_args()[0].bundle))
 ROBOT = MANIFEST.robot
 COMMAND = proprioception_slices()["command"]
 SCALES = {term.name: term.scale for term in PROPRIOCEPTION}
@@ -126,7 +135,7 @@ def register() -> None:
 
 def main() -> None:
     """Run the benchmark and, if asked, write its results as JSON."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser = bundle_option()
     parser.add_argument("--json", type=Path)
     parser.add_argument("--model-path", type=Path, required=True)
     own, others = parser.parse_known_args()
@@ -138,6 +147,7 @@ def main() -> None:
     if own.json is not None:
         record = {
             "task": args.task_name,
+            "bundle": own.bundle,
             "model": own.model_path.name,
             "sha256": hashlib.sha256(own.model_path.read_bytes()).hexdigest(),
             "asked": asked,
