@@ -7,8 +7,9 @@ the robot `renet` to its register and runs its benchmark, in an environment that
     PYTHONPATH=ROBOGAUGE:src python benchmarks/robogauge_go2.py --task-name renet \
         --model-path go2_driven_blind.pt --headless --json renet.json
 
-`--bundle` names the shipped bundle of these weights. Other options are RoboGauge's own; `--task-name go2_moe` scores its mixture of experts. Results of
-one run are comparable with those of runs with the same grounds, frictions and seeds.
+`--bundle` names the shipped bundle of these weights. Other options are RoboGauge's own;
+`--task-name go2_moe` scores its mixture of experts. Results of one run are comparable with those of
+runs with the same grounds, frictions and seeds.
 """
 
 from __future__ import annotations
