@@ -186,28 +186,27 @@ def test_entropy_divergence_and_budgets_follow_their_schedules():
     assert algorithm._desired_kl == pytest.approx(0.015)
 
 
-def test_deviation_of_actions_stays_below_its_schedule():
-    algorithm = small(initial_std=0.5, entropy=1.0, max_std="0.4@0,0.2@10M", num_learning_epochs=1)
+@pytest.mark.parametrize(
+    ("limit", "begun", "free"),
+    [
+        ({"entropy": 1.0, "max_std": "0.4@0,0.2@10M"}, 0.5, 0.05),
+        # A finished policy explores again.
+        ({"min_std": "0.4@0,0.2@10M"}, 0.1, 0.6),
+    ],
+)
+def test_deviation_of_actions_keeps_to_its_schedule(limit, begun, free):
+    algorithm = small(initial_std=begun, num_learning_epochs=1, **limit)
     rollout, last = random_rollout(algorithm)
-    # One joint's deviation is below the limit already: it stays free.
+    # One joint's deviation is within the limit already: it stays free.
     with torch.no_grad():
-        algorithm.actor.log_std[0] = np.log(0.05)
+        algorithm.actor.log_std[0] = np.log(free)
     algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0, steps=5e6)
     std = algorithm.actor.log_std.detach().exp()
     torch.testing.assert_close(std[1:], torch.full((11,), 0.3))
-    assert std[0].item() == pytest.approx(0.05, rel=0.1)
+    assert std[0].item() == pytest.approx(free, rel=0.1)
 
 
-def test_a_finished_policy_explores_again_as_its_schedule_says():
-    algorithm = small(initial_std=0.1, min_std="0.4@0,0.2@10M", num_learning_epochs=1)
-    rollout, last = random_rollout(algorithm)
-    # One joint's deviation is above the limit already: it stays free.
-    with torch.no_grad():
-        algorithm.actor.log_std[0] = np.log(0.6)
-    algorithm.update(rollout, last, algorithm.draw_orders(rollout), 0, steps=5e6)
-    std = algorithm.actor.log_std.detach().exp()
-    torch.testing.assert_close(std[1:], torch.full((11,), 0.3))
-    assert std[0].item() == pytest.approx(0.6, rel=0.1)
+def test_negative_deviation_is_refused():
     with pytest.raises(RenetError, match=r"min_std must be at least 0"):
         np3o.NP3OCfg(min_std=-0.1)
 

@@ -40,6 +40,11 @@ class MotorsCfg:
         return self.max_lag == 0 and self.no_load_speed is None
 
     @property
+    def plain_servos(self) -> bool:
+        """True for MuJoCo's servos to which nothing is added."""
+        return self.model == IDEAL and self.ideal
+
+    @property
     def max_lag(self) -> int:
         """Largest delay in physics steps."""
         joint_delay = max(self.joint_delay.values(), default=0.0)

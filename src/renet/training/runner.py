@@ -17,7 +17,6 @@ from rsl_rl.runners import OnPolicyRunner
 from tensordict import TensorDict
 
 from renet.errors import RenetError
-from renet.motor_models import IDEAL
 from renet.tasks import mdp
 from renet.training import checkpoint as checkpoints
 from renet.training import distributed
@@ -52,8 +51,8 @@ class RenetRunner(OnPolicyRunner):
     ) -> None:
         task = cast(Any, env).unwrapped
         motors = getattr(task.cfg, "motors", None)
-        special = motors is not None and not (motors.ideal and motors.model == IDEAL)
-        if special and not hasattr(task, "motors"):
+        # mjlab's own environment would ignore other motors.
+        if motors is not None and not motors.plain_servos and not hasattr(task, "motors"):
             raise RenetError(
                 "mjlab's own train has ideal motors, and this task has others (--env.motors): "
                 "train it by `renet train`"
