@@ -287,6 +287,14 @@ def test_the_end_of_seen_ground_is_told_once(judging, unseen, told):
     assert decision.asked.forward == 0.6, "the operator's wish stays"
 
 
+def test_a_robot_that_has_seen_nothing_says_so(judging):
+    run = Run(with_selector(judging, longest_memory=10.0), unseen="stop")
+    run.ticks(60, lambda frame: replace(frame, image=np.zeros_like(frame.image)))
+    events = [event.why for event in run.events if event.what == "unseen"]
+    assert events == ["it has seen no ground yet: it stops"]
+    assert run.controller.decision.followed.forward == 0.0
+
+
 @pytest.mark.parametrize(
     ("thresholds", "change", "reason"),
     [

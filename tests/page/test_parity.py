@@ -122,6 +122,16 @@ def test_so_it_does_at_the_end_of_the_ground_seen(memory_page, tmp_path, unseen,
     assert slowest == pytest.approx(speed, abs=1e-6), "it came to the end of the ground seen"
 
 
+@pytest.mark.parametrize("unseen", ["walk", "stop"])
+def test_so_it_does_where_a_robot_has_never_seen(memory_page, tmp_path, unseen):
+    bundle = Bundle.load(memory_page / "bundles" / "0")
+    given, decided = record(bundle, "flat", "blackout@0s+4s", "memory", ahead, unseen=unseen)
+    walked = [one for one in decided if one["phase"] == "walking"]
+    assert walked[50]["unseen"]
+    assert not any(walked[50]["map_seen"])
+    compare(memory_page, tmp_path, "memory", given, decided, unseen)
+
+
 def test_so_it_does_where_a_robot_stands_beyond_the_ground_seen(driven_page, tmp_path):
     bundle = Bundle.load(driven_page / "bundles" / "0")
     given, decided = record(bundle, "gap", "unplugged:2@3.2s", "memory", straight, unseen="stop")

@@ -78,6 +78,20 @@ def test_points_are_seen_up_to_the_end_of_the_image_and_on_the_way_behind():
     np.testing.assert_array_equal(reach.covers(points), [[True, False]])
 
 
+def test_a_robot_that_has_seen_nothing_knows_no_ground_until_it_has_an_image():
+    reach = Reach(2)
+    ways = np.array([(1.0, 0.0), (0.0, 0.0)])
+    points = np.array([(0.0, 0.0), (-1.0, 0.0)])
+    reach.forget(np.array([True, True]))
+    np.testing.assert_array_equal(reach.ahead(ways), [-np.inf, np.inf])
+    np.testing.assert_array_equal(reach.ahead(-ways), [-np.inf, np.inf])
+    assert not reach.covers(points).any()
+    assert can_stop(reach.ahead(ways), np.repeat(gap_between(-0.4, 0.4), 2, axis=0))[0]
+    reach.reset(np.array([True, False]))
+    np.testing.assert_array_equal(reach.ahead(ways), [1.2, np.inf])
+    np.testing.assert_array_equal(reach.covers(points).all(axis=1), [True, False])
+
+
 @pytest.mark.parametrize(
     ("told", "command", "expected"),
     [
@@ -214,6 +228,31 @@ def test_op_drives_a_robot_that_stands_beyond_the_ground_seen():
     assert speeds[-1] == 0.5
     assert vision[-1]
     assert steps[-1].state[0] == "sees"
+
+
+@pytest.mark.parametrize("black", [True, False], ids=["black", "no camera"])
+@pytest.mark.parametrize("forward", [0.5, -0.5])
+def test_a_robot_that_has_never_seen_stands_until_it_sees(black, forward):
+    pilot = renet.load("go1-driven", unseen="stop")
+    told = Told(pilot, velocity=0.0)
+    steps = []
+    for step in range(350):
+        observation = WALKS["memory_observation"][step % 100][None].copy()
+        observation[:, 2] = 0.0
+        observation[:, 6:9] = (forward, 0.0, 0.0)
+        image = np.zeros((1, 48, 64)) if black else None
+        if step >= 50:
+            image = WALKS["memory_images"][step // STEPS_PER_TICK % 20][None].astype(np.float32)
+            image /= 255
+        taken = image if step % STEPS_PER_TICK == 0 else None
+        steps.append(pilot.step(observation, taken, step * CONTROL_DT))
+    speeds = np.concatenate(told.commands)[:, 0]
+    # The first tick finds out that there is no image.
+    assert (speeds[1:50] == 0.0).all()
+    assert steps[49].unseen[0]
+    assert steps[49].reason[0] != BEYOND
+    assert steps[-1].state[0] == "sees"
+    assert speeds[-1] == forward
 
 
 def test_robots_without_memory_go_on():

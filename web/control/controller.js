@@ -116,6 +116,7 @@ export class Controller {
     // Move on from the last image; one that VP has just used is the new origin.
     this.reach.move(this.policy.velocityVp, turnRate);
     if (this.policy.hasImage || this.mode !== "memory") this.reach.reset();
+    else if (Number.isNaN(this.policy.imageAge)) this.reach.forget();
     const direction = directionOf(command, this.told);
     this.unseen = this.reach.ends(direction);
     const limit = this.contract.reach.speeds[this.conduct];
@@ -129,7 +130,8 @@ export class Controller {
   /** Stop, and stay, whatever VP imagines later, while the command leads to ground that was not seen. */
   halt(direction) {
     this.halted = true;
-    const past = this.reach.ahead(direction) < 0;
+    // A robot that has seen no ground is not beyond any: OP drives it for its own reason.
+    const past = this.reach.seen && this.reach.ahead(direction) < 0;
     this.beyond = past && this.reach.standsOnLevelGround(this.policy.heightMap);
   }
 

@@ -19,6 +19,13 @@ export class Reach {
   /** Begin at a new image. */
   reset() {
     this.x = this.y = this.yaw = 0;
+    /** Whether any ground was seen. */
+    this.seen = true;
+  }
+
+  /** Have seen no ground until the next image. */
+  forget() {
+    this.seen = false;
   }
 
   /**
@@ -33,8 +40,12 @@ export class Reach {
     this.yaw += this.dt * turnRate;
   }
 
-  /** Metres from the base to the end of the ground seen, along a unit vector of its frame; zero: infinite. */
+  /**
+   * Metres from the base to the end of the ground seen, along a unit vector of its frame; zero: infinite.
+   * In any other direction they are -Infinity where no ground was seen.
+   */
   ahead([forward, left]) {
+    if (!this.seen && (forward !== 0 || left !== 0)) return -Infinity;
     const [along, across] = this.turned(forward, left);
     const toEnd = distance(this.distance - this.x, along);
     // Behind the frame's origin there are no sides: the robot walks back on its own track.
@@ -79,7 +90,8 @@ export class Reach {
     const [ahead, side] = [this.x + x, Math.abs(this.y + y)];
     // At the moment of the image its outermost points count, whatever the rounding.
     const margin = 1e-9;
-    return ahead <= this.distance + margin && (side <= this.halfWidth + margin || ahead < 0);
+    const beside = side <= this.halfWidth + margin || ahead < 0;
+    return this.seen && ahead <= this.distance + margin && beside;
   }
 
   /** A vector of the base frame in that of the last image. */

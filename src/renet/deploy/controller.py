@@ -39,6 +39,8 @@ CONDUCTS = {"walk": "it walks on", "slow": "it slows down", "stop": "it stops"}
 UNSEEN_EVENT = "unseen"
 END_OF_SEEN = "the ground that it saw ends half a metre ahead"
 """Reason of that event."""
+NOTHING_SEEN = "it has seen no ground yet"
+"""Reason of that event where no image was ever good enough."""
 A_WHILE = 0.25
 """Seconds without an image after which an event tells of it; one late frame is no news."""
 
@@ -300,7 +302,8 @@ class Controller:
     def _tell_unseen(self, unseen: bool, now: float) -> None:
         """Tell once when the robot comes to the end of the ground that it has seen."""
         if unseen and not self._unseen:
-            self.tell(now, UNSEEN_EVENT, f"{END_OF_SEEN}: {CONDUCTS[self._conduct]}")
+            why = END_OF_SEEN if self.pilot.reach.seen[0] else NOTHING_SEEN
+            self.tell(now, UNSEEN_EVENT, f"{why}: {CONDUCTS[self._conduct]}")
         # Not again before it has seen: an operator who looks for a way turns the robot often.
         self._unseen = unseen or (self._unseen and self._state != SEES)
 

@@ -398,7 +398,9 @@ class Pilot:
         # Move on from the last image; one that VP has just used is the new origin.
         policy: Any = self.policy
         self.reach.move(policy.velocity_vp[:, :2], observation[:, TURN_RATE] / TURN_RATE_SCALE)
-        self.reach.reset(policy.has_image | (self.modes != "memory"))
+        remembers = ~policy.has_image & (self.modes == "memory")
+        self.reach.reset(~remembers)
+        self.reach.forget(remembers & np.isnan(policy.image_age))
 
         # Robots whose command leads to the end of the ground that they have seen.
         command = observation[:, COMMAND_SLICE]
@@ -425,7 +427,9 @@ class Pilot:
         """
         policy: Any = self.policy
         stops = stops & ~self._halted
-        beyond = stops & (ahead < 0.0) & stands_on_level_ground(policy.height_map)
+        # A robot that has seen no ground is not beyond any: OP drives it for its own reason.
+        past = (ahead < 0.0) & self.reach.seen
+        beyond = stops & past & stands_on_level_ground(policy.height_map)
         self._halted = (self._halted & self.unseen) | stops
         self._beyond = (self._beyond & self.unseen) | beyond
 

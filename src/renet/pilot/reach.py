@@ -49,11 +49,18 @@ class Reach:
         """Initialize the motion at images of all robots."""
         self._position = np.zeros((num_robots, 2))
         self._yaw = np.zeros(num_robots)
+        self.seen = np.ones(num_robots, bool)
+        """False for robots that have seen no ground at all, [N] bool."""
 
     def reset(self, mask: np.ndarray) -> None:
         """Begin at a new image for the masked robots, [N] bool."""
         self._position[mask] = 0.0
         self._yaw[mask] = 0.0
+        self.seen[mask] = True
+
+    def forget(self, mask: np.ndarray) -> None:
+        """Let the masked robots, [N] bool, have seen no ground until they have an image."""
+        self.seen[mask] = False
 
     def move(self, velocity: np.ndarray, turn_rate: np.ndarray) -> None:
         """Advance the motion by one control step.
@@ -70,7 +77,7 @@ class Reach:
 
         Args:
             direction: Unit vectors in the bases' frames, [N, 2]. For the zero vector the distance
-                is infinite.
+                is infinite. In any other direction it is -inf for a robot that has seen no ground.
         """
         way = _rotated(direction, self._yaw)
         to_end = _distance(DISTANCE - self._position[:, 0], way[:, 0])
@@ -79,7 +86,8 @@ class Reach:
         # Behind the frame's origin there are no sides: the robot walks back on its own track.
         behind = self._position[:, 0] + STOPPING_MARGIN * way[:, 0] < 0.0
         sideways = np.where(behind, np.inf, np.minimum(to_left, to_right))
-        return np.minimum(to_end, sideways)
+        ahead = np.minimum(to_end, sideways)
+        return np.where(self.seen | ~direction.any(axis=1), ahead, -np.inf)
 
     def covers(self, points: np.ndarray) -> np.ndarray:
         """Return a mask of points on ground that was seen, [N, K] bool.
@@ -92,7 +100,7 @@ class Reach:
         # At the moment of the image its outermost points count, whatever the rounding.
         margin = 1e-9
         beside = (np.abs(left) <= HALF_WIDTH + margin) | (ahead < 0.0)
-        return (ahead <= DISTANCE + margin) & beside
+        return (ahead <= DISTANCE + margin) & beside & self.seen[:, None]
 
 
 def can_stop(ahead: np.ndarray, height_map: np.ndarray) -> np.ndarray:
