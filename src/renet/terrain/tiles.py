@@ -180,6 +180,12 @@ class Tile:
         """Return the size of the obstacle at a level from 1 to 10, m."""
         return self.measure(difficulty_of(level))
 
+    def obstacle_end(self, measure: float) -> float:
+        """Return where obstacles of size `measure`, m, end: half-width of a square around the
+        start, m. By default they end with the tile.
+        """
+        return TILE / 2
+
     def function(
         self, difficulty: float, spec: mujoco.MjSpec, rng: np.random.Generator
     ) -> BuiltTile:
@@ -292,6 +298,12 @@ class StairsTile(Tile):
         builder.ring(edge, TILE / 2, (-top - 0.2, 0.0))
         return -top
 
+    def obstacle_end(self, measure: float) -> float:
+        """Return where the last edge is, m."""
+        # The last step out of a pit is level with the ground around it.
+        edges = self.steps if self.descend else self.steps - 1
+        return self.landing + edges * self.tread
+
 
 LANDING = 0.6
 """Smallest width of the ground outside the last of several gaps, m."""
@@ -315,13 +327,26 @@ class GapTile(Tile):
     def build(self, builder: TileBuilder, measure: float, rng: np.random.Generator) -> float:
         """Add the island and the ground outside each gap; the start is at height 0."""
         builder.square(self.island, (-self.depth, 0.0))
-        inner = self.island + measure
-        while self.ground is not None and inner + self.ground + measure + self.landing <= TILE / 2:
-            builder.ring(inner, inner + self.ground, (-self.depth, 0.0))
-            inner += self.ground + measure
-        builder.ring(inner, TILE / 2, (-self.depth, 0.0))
+        *between, last = self.far_edges(measure)
+        for inner in between:
+            builder.ring(inner, inner + (self.ground or 0.0), (-self.depth, 0.0))
+        builder.ring(last, TILE / 2, (-self.depth, 0.0))
         builder.square(TILE / 2, (-self.depth - 0.2, -self.depth), PIT)
         return 0.0
+
+    def far_edges(self, measure: float) -> list[float]:
+        """Return the half-widths at which the gaps end, the nearest first, m."""
+        edges = [self.island + measure]
+        if self.ground is None:
+            return edges
+        step = self.ground + measure
+        while edges[-1] + self.ground + measure + self.landing <= TILE / 2:
+            edges.append(edges[-1] + step)
+        return edges
+
+    def obstacle_end(self, measure: float) -> float:
+        """Return where the last gap ends, m."""
+        return self.far_edges(measure)[-1]
 
 
 @dataclass
@@ -339,6 +364,10 @@ class PlatformTile(Tile):
         for inner, outer in self.rings:
             builder.ring(inner, outer, (-0.1, measure), ACCENT)
         return 0.0
+
+    def obstacle_end(self, measure: float) -> float:
+        """Return where the last ring ends, m."""
+        return self.rings[-1][1]
 
 
 @dataclass

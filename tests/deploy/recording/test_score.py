@@ -121,6 +121,24 @@ def test_a_robot_that_stops_behind_a_gap_has_crossed_it(flight, at, verdict):
     assert score_run(flight, [])["crossed"] == f"{verdict} the gap"
 
 
+@pytest.mark.parametrize(
+    ("terrain", "end"),
+    [("platform", 2.8), ("stairs_up", 3.6), ("stairs", 3.9), ("rough", 4.0), ("obstacles", 4.0)],
+)
+def test_a_robot_has_crossed_once_its_hind_feet_have_left_the_obstacle(flight, terrain, end):
+    flight.header.update(terrain=terrain, level=6)
+    for at, verdict in ((end + 0.29, "did not cross"), (end + 0.31, "crossed")):
+        flight.ticks["base_position"][:] = np.linspace((0.0, 0.0, 0.3), (0.1, at, 0.3), STEPS)
+        crossed = score_run(flight, [])["crossed"]
+        assert crossed == f"{verdict} the {terrain.replace('_', ' ')}"
+
+
+def test_an_unknown_tile_has_no_verdict(flight):
+    for header in ({"terrain": "lava", "level": 6}, {"terrain": "gap", "level": 11}):
+        flight.header.update(header)
+        assert score_run(flight, [])["crossed"] == ""
+
+
 def test_an_image_that_vision_takes_for_new_though_it_is_old_is_not_sight(flight):
     flight.ticks["has_image"] = True
     flight.ticks["frame_age"][200:] = 0.5

@@ -198,37 +198,49 @@ def sunk_in_gap(run: Recording) -> np.ndarray:
 
 def _gap(run: Recording) -> tuple[float, float] | None:
     """Return where the gap of a simulated tile begins and ends, m from the start; None: no gap."""
-    level = run.header.get("level")
-    on_gap = run.header.get("terrain") == "gap"
-    if not isinstance(level, int) or not on_gap or not len(run.ticks) or not simulated(run.ticks):
+    end = _obstacle_end(run)
+    if run.header.get("terrain") != "gap" or end is None:
         return None
     # Needs MuJoCo, which may not be installed on a robot.
     from renet.terrain.tiles import GapTile
 
-    tile = GapTile()
-    return tile.island, tile.island + tile.measure_at(level)
+    return GapTile().island, end
+
+
+def _obstacle_end(run: Recording) -> float | None:
+    """Return where the obstacle of a simulated tile ends, m from the start; None: no tile."""
+    terrain = run.header.get("terrain")
+    level = run.header.get("level")
+    if not terrain or terrain in ("flat", OWN_GROUND) or not isinstance(level, int):
+        return None
+    if not len(run.ticks) or not simulated(run.ticks):
+        return None
+    # Needs MuJoCo, which may not be installed on a robot.
+    from renet.terrain.tiles import find_tile
+
+    try:
+        tile = find_tile(terrain, level)
+    except RenetError:
+        # A tile of another version or package.
+        return None
+    return tile.obstacle_end(tile.measure_at(level))
 
 
 def _crossing(run: Recording, path: np.ndarray, sunk: bool) -> str:
-    """Say whether a robot left its simulated tile, or the tile's gap; empty without a tile.
+    """Say whether a robot came over its simulated tile's obstacle; empty without a tile.
 
     Args:
         run: Run with the tile in its header.
         path: Positions of the base while it walked, [T, 3] m.
         sunk: True if it was in the tile's gap.
     """
-    terrain = run.header.get("terrain")
-    if not terrain or terrain in ("flat", OWN_GROUND) or not simulated(run.ticks):
+    end = _obstacle_end(run)
+    if end is None:
         return ""
-    # Needs MuJoCo, which may not be installed on a robot.
-    from renet.terrain.tiles import TILE
-
-    # A robot may stop behind a gap that it has crossed.
-    gap = _gap(run)
-    end = TILE / 2 if gap is None else gap[1] + _HIND_FEET
-    done = np.abs(path[:, :2]).max(initial=0.0) > end
+    # A robot may stop behind an obstacle that it has crossed.
+    done = np.abs(path[:, :2]).max(initial=0.0) > end + _HIND_FEET
     verdict = _CROSSED if done else _FELL_INTO if sunk else "did not cross"
-    return f"{verdict} the {terrain.replace('_', ' ')}"
+    return f"{verdict} the {run.header['terrain'].replace('_', ' ')}"
 
 
 def delay_to_op(blind: np.ndarray, onset: float) -> float | None:
