@@ -1,5 +1,7 @@
 // What becomes of the robots, in words.
 
+import { WALKED } from "./words.js";
+
 export const BEFORE = 0.5;
 /** Seconds before an obstacle's edge, at the speed that is asked for, at which cameras break. */
 const CLEAR = 0.3;
@@ -21,12 +23,12 @@ export class Story {
     this.onset = null;
     this.broken = false;
     this.now = 0;
-    const tale = { mode: "", distance: 0, fell: null, done: null, state: "", how: "" };
+    const tale = { mode: "", distance: 0, stands: false, fell: null, done: null, state: "", how: "" };
     this.tales = Array.from({ length: robots }, () => ({ ...tale }));
   }
 
   /** Keep one control step of robot `n`. */
-  note(n, { now, fell, state, world, camera, controller: { mode } }) {
+  note(n, { now, fell, state, world, camera, walked, controller: { mode } }) {
     const tale = this.tales[n];
     const [x, y] = world.pose().position;
     const reach = Math.max(Math.abs(x), Math.abs(y));
@@ -41,6 +43,7 @@ export class Story {
     // What was done is told of the mode in which it was done, whatever the visitor chooses then.
     if (fell || tale.done === null) tale.mode = mode;
     tale.distance = Math.hypot(x, y);
+    tale.stands = Math.hypot(walked.forward, walked.left) < WALKED.speed;
     if (fell) tale.fell = now;
     if (reach > first && state) tale.how ||= state === "sees" && broken ? FOOLED : HOW[state];
     if (reach > last + CLEAR && state) tale.done ??= now;
@@ -63,9 +66,10 @@ export class Story {
     return this.tales.map((tale) => `${capital(tale.mode)} ${this.verb(tale)}.`).join(" ");
   }
 
-  verb({ fell, done, how, distance }) {
+  verb({ fell, done, how, distance, stands }) {
     const metres = `${distance.toFixed(1)} m`;
-    if (fell === null) return done === null ? `walks on after ${metres}` : `${this.ground.done} ${how}`;
+    if (fell === null && done !== null) return `${this.ground.done} ${how}`;
+    if (fell === null) return `${stands ? "stands" : "walks on"} after ${metres}`;
     const late = this.onset === null ? -1 : fell - this.onset;
     return late >= 0 ? `fell ${late.toFixed(1)} s after its camera broke` : `fell after ${metres}`;
   }
