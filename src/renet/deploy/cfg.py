@@ -229,5 +229,6 @@ class DeployCfg:
             "bundle": bundle.name,
             "bundle_sha256": bundle.sha256,
             "models": bundle.manifest.sha256,
+            "told": bundle.manifest.told,
             "thresholds": thresholds,
         }

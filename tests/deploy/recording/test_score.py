@@ -54,6 +54,27 @@ def test_a_simulators_truth_wins(flight):
     assert result["blind_before_first_fault"] == 1, "without a fault it is a false alarm"
 
 
+@pytest.mark.parametrize(("told", "commanded"), [("twist", 0.5), ("heading", 0.3)])
+def test_the_way_of_a_robot_that_comes_back_counts(flight, told, commanded):
+    """Ahead and back, to the left and back, with the sway of a gait."""
+    flight.header["told"] = told
+    ticks = flight.ticks
+    corners = np.array([(0, 0), (1, 0), (0, 0), (0, 1), (0, 0)])
+    walking = np.linspace(0, 4, STEPS - RISEN)
+    for axis in (0, 1):
+        ticks["base_position"][RISEN:, axis] = np.interp(walking, range(5), corners[:, axis])
+        ticks["base_position"][:RISEN, axis] = 0.0
+    ticks["base_position"][:, 1] += 0.02 * np.sin(2 * np.pi * ticks["now"] / 0.5)
+    ticks["base_position"][:, 2] = 0.3
+    ticks["told"][:] = (-0.3, 0.4, 0.1)
+    result = score_run(flight, [])
+    assert result["path_m"] == pytest.approx(4.0, abs=0.1)
+    assert result["speed_m_s"] == pytest.approx(0.5, abs=0.02)
+    assert result["commanded_m_s"] == pytest.approx(commanded)
+    assert result["distance_m"] == pytest.approx(0.0, abs=0.03)
+    assert "walked 8.0 s and 4.0 m (simulator)" in summary(result)
+
+
 def test_switch_delays(flight):
     assert score_run(flight, [7.0, 9.999])["switch_delay_s"] == [0.0, None]
     flight.ticks["vision"][RISEN:] = True
@@ -152,6 +173,7 @@ def test_an_empty_flight(tmp_path):
     empty = Recording({}, np.zeros(0, TICK_DTYPE), {}, [], False)
     result = write_score(empty, tmp_path / "new", [1.0])
     assert result["walking_seconds"] == result["distance_m"] == result["falls"] == 0
+    assert result["path_m"] == 0
     assert result["switch_delay_s"] == [None]
     assert json.loads((tmp_path / "new" / "score.json").read_text()) == result
 

@@ -64,6 +64,7 @@ class Header(TypedDict, total=False):
     robot: str | None
     mode: str
     unseen: str
+    told: str
     terrain: str | None
     level: Number | None
     dry_run: bool

@@ -31,6 +31,8 @@ _SUNK = 0.15
 across it is at 0.06, one that leaps over it above 0.25."""
 _HIND_FEET = 0.3
 """Distance from the base back to the hind feet, m."""
+_STRIDE = control_steps(0.5)
+"""Number of ticks from one place of a robot's way to the next, longer than a stride of its gait."""
 _OLD_IMAGE = 0.3
 """Age from which an image is an old one, s; a new one comes every 0.1."""
 _CROSSED = "crossed"
@@ -85,8 +87,10 @@ def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     """Return falls, distance, speed, switches and timing of a run.
 
     Shares are of the time that the robot walks: `vision_share` on VP, `memory_share` on VP without
-    an image, and `old_image_share` on VP with an old image that it takes for new. The distance is
-    measured from the place where walking began to the place where it ended.
+    an image, and `old_image_share` on VP with an old image that it takes for new. `path_m` is the
+    length of the way, and `speed_m_s` its mean over the time; `distance_m` is measured from the
+    place where walking began to the place where it ended. `commanded_m_s` is the mean speed that
+    the policy was told, in any direction.
 
     Args:
         run: Run to score.
@@ -98,6 +102,7 @@ def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
     seconds = float(walking.sum()) * CONTROL_DT
     path = track(ticks)[walking]
     metres = float(np.hypot(*(path[-1] - path[0])[:2])) if len(path) else 0.0
+    length = path_length(path)
     first = float(start + min(onsets, default=np.inf))
     sunk = sunk_in_gap(run)
     # A robot on stairs that is damped as the run ends may topple: that is no fall of the policy.
@@ -114,10 +119,11 @@ def score_run(run: Recording, onsets: Sequence[float]) -> dict[str, Any]:
         "complete": run.complete,
         "walking_seconds": round(seconds, 2),
         "falls": int((felled & risen & (ticks["now"] < until)).sum()),
+        "path_m": round(length, 3),
         "distance_m": round(metres, 3),
         "distance_from": "simulator" if simulated(ticks) else "estimator",
-        "speed_m_s": round(metres / seconds, 3) if seconds else 0.0,
-        "commanded_m_s": round(_mean(ticks["told"][walking, 0]), 3),
+        "speed_m_s": round(length / seconds, 3) if seconds else 0.0,
+        "commanded_m_s": round(_mean(told_speed(run)[walking]), 3),
         "vision_share": round(_mean(ticks["vision"][walking]), 4),
         "memory_share": round(_mean((ticks["vision"] & ~ticks["has_image"])[walking]), 4),
         "old_image_share": round(_mean(on_old_image(ticks)[walking]), 4),
@@ -145,7 +151,7 @@ def summary(score: dict[str, Any]) -> str:
     parts = [
         "dry run, the robot was left alone" if score["run"].get("dry_run") else "",
         " → ".join([*score["states"], *filter(None, [end])]),
-        f"walked {score['walking_seconds']:.1f} s and {score['distance_m']:.1f} m "
+        f"walked {score['walking_seconds']:.1f} s and {score['path_m']:.1f} m "
         f"({score['distance_from']})",
         state_shares(score) if score["walking_seconds"] else "",
         f"from the fault to blind walking: {delays}" if delays else "",
@@ -291,6 +297,22 @@ def track(ticks: np.ndarray) -> np.ndarray:
     steps = (velocity[:, 0] + 1j * velocity[:, 1]) * np.exp(1j * yaw)
     path = np.cumsum(CONTROL_DT * np.where(walking, steps, 0.0))
     return np.stack([path.real, path.imag, np.zeros(len(ticks))], axis=1)
+
+
+def path_length(path: np.ndarray) -> float:
+    """Return the length of a way through positions [T, 3] m, without the sway of a gait, m."""
+    places = path[::_STRIDE, :2]
+    if len(path):
+        places = np.vstack([places, path[-1:, :2]])
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+
+
+def told_speed(run: Recording) -> np.ndarray:
+    """Return the speed that the policy was told at each tick, [T] m/s."""
+    told = run.ticks["told"]
+    # Of a heading only the first number is a velocity.
+    parts = slice(0, 2) if run.header.get("told") == "twist" else slice(0, 1)
+    return np.linalg.norm(told[:, parts], axis=1)
 
 
 def spread(values: np.ndarray) -> dict[str, float]:
