@@ -41,6 +41,19 @@ def test_the_timeline_shows_bands_faults_and_reasons(flight, tmp_path):
         assert "&lt;script&gt;" in drawn(hostile, [], tmp_path)
 
 
+def test_the_timeline_shows_how_a_robot_walks_to_the_side(flight, tmp_path):
+    from matplotlib import rc_context
+
+    with rc_context({"svg.fonttype": "none"}):
+        # The sine of a heading is no speed.
+        flight.ticks["told"][:, 1] = 0.4
+        assert "to the left" not in drawn(flight, [], tmp_path)
+        flight.header["told"] = "twist"
+        assert "pale: to the left" in drawn(flight, [], tmp_path)
+        flight.ticks["told"][:, 1] = 0.0
+        assert "to the left" not in drawn(flight, [], tmp_path)
+
+
 def test_long_and_tiny_runs_are_drawn(flight, tmp_path):
     for end in (0.0, 1e-3, 5e5):
         flight.ticks["now"] = np.linspace(0.0, end, STEPS)

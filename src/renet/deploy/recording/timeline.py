@@ -67,7 +67,8 @@ def draw_run(run: Recording, onsets: Sequence[float], path: Path) -> None:
         monitors.append((np.minimum(values[::every], _CUT), f"C{number}"))
     figure = Figure(figsize=(10, 6), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
-    for axis, panel in zip(axes, _panels(ticks, monitors), strict=True):
+    panels = _panels(ticks, monitors, run.header.get("told") == "twist")
+    for axis, panel in zip(axes, panels, strict=True):
         _draw_panel(axis, panel, ticks, time)
         for onset in onsets[:_MAX_MARKS]:
             axis.axvline(onset, color="#a3121f", linestyle=":", linewidth=1)
@@ -80,14 +81,27 @@ def draw_run(run: Recording, onsets: Sequence[float], path: Path) -> None:
     write_atomically(path, picture.getvalue(), "timeline")
 
 
-def _panels(ticks: np.ndarray, monitors: list[tuple[np.ndarray, str]]) -> tuple[_Panel, ...]:
-    """Panels of a timeline of ticks [T], from top to bottom."""
-    speed = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])[:, 0]
-    speeds = [(ticks["told"][:, 0], "#222730"), (speed, "#b5532f")]
+def _panels(
+    ticks: np.ndarray, monitors: list[tuple[np.ndarray, str]], twist: bool
+) -> tuple[_Panel, ...]:
+    """Panels of a timeline from top to bottom.
+
+    Args:
+        ticks: Ticks, [T].
+        monitors: Curves of the monitors, [T] each, and their colours.
+        twist: True for a policy that is told a velocity, which may lead to the side.
+    """
+    told = ticks["told"]
+    velocity = np.where(ticks["vision"][:, None], ticks["velocity_vp"], ticks["velocity_op"])
+    speeds = [(told[:, 0], "#222730"), (velocity[:, 0], "#b5532f")]
+    label = "forward speed in m/s\n(black: commanded)"
+    if twist and told[:, 1].any():
+        speeds += [(told[:, 1], "#9aa0a8"), (velocity[:, 1], "#dfae9b")]
+        label = "speed in m/s, pale: to the left\n(black, grey: commanded)"
     return (
         _Panel(f"monitors: score / threshold\n(1: objects; cut at {_CUT:g})", monitors, 1.0),
         _Panel("vision probability P", [(ticks["probability"], "#2f7d32")], 0.5),
-        _Panel("forward speed in m/s\n(black: commanded)", speeds),
+        _Panel(label, speeds),
     )
 
 
