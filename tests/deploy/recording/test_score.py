@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 from renet.deploy.controller import Event
+from renet.deploy.recording import score
 from renet.deploy.recording.reader import Recording
 from renet.deploy.recording.score import (
+    ScoreCfg,
+    score_log,
     score_run,
     state_shares,
     summary,
@@ -176,6 +179,15 @@ def test_an_empty_flight(tmp_path):
     assert result["path_m"] == 0
     assert result["switch_delay_s"] == [None]
     assert json.loads((tmp_path / "new" / "score.json").read_text()) == result
+
+
+@pytest.mark.parametrize("onset", [np.nan, -0.1, 10.1, 5800.0])
+def test_an_onset_outside_of_the_run_is_refused(flight, tmp_path, monkeypatch, onset):
+    monkeypatch.setattr(score, "read_recording", lambda path: flight)
+    cfg = ScoreCfg(tmp_path / "recording.mcap", onset=(5.8, onset))
+    with pytest.raises(RenetError, match=rf"--onset .* 0 to 9.98, got {onset:g}"):
+        score_log(cfg)
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_folder_that_cannot_be_written(flight, tmp_path):

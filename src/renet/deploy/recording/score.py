@@ -57,9 +57,11 @@ def score_log(cfg: ScoreCfg) -> Path:
     """Write score and timeline, and print the score; returns their folder.
 
     Raises:
-        RenetError: The file is no recording, or was made with another bundle than `replay`.
+        RenetError: The file is no recording, or was made with another bundle than `replay`; or
+            there is an onset outside of the run.
     """
     run = read_recording(cfg.recording)
+    _demand_onsets_within(run, cfg.onset)
     difference = None if cfg.replay is None else replay_error(run, Bundle.load(cfg.replay))
     result = write_score(run, cfg.out or cfg.recording.parent, cfg.onset)
     for name, value in result.items():
@@ -68,6 +70,18 @@ def score_log(cfg: ScoreCfg) -> Path:
     if difference is not None:
         print(f"{'replay':<20} commands differ by at most {difference:.3g} rad")
     return cfg.out or cfg.recording.parent
+
+
+def _demand_onsets_within(run: Recording, onsets: Sequence[float]) -> None:
+    """Raise RenetError for an onset, s from the run's start, that is not within the run."""
+    now = run.ticks["now"]
+    lasts = float(now[-1] - now[0]) if len(now) else 0.0
+    for onset in onsets:
+        # NaN is not within it, either.
+        if not 0.0 <= onset <= lasts:
+            raise RenetError(
+                f"--onset must be seconds from the run's start, 0 to {lasts:.2f}, got {onset:g}"
+            )
 
 
 def write_score(run: Recording, folder: Path, onsets: Sequence[float] = ()) -> dict[str, Any]:
