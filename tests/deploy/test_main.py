@@ -18,7 +18,7 @@ import tyro
 
 from renet import cli
 from renet.bundle import Bundle, read_manifest, write_manifest
-from renet.deploy import devices, main
+from renet.deploy import cfg, devices, main
 from renet.deploy.catalogue import Go1Cfg, ReplayCfg, SimulationCfg
 from renet.deploy.cfg import DEADMAN, DeployCfg
 from renet.deploy.main import RECORDING, deploy
@@ -240,6 +240,8 @@ def test_a_run_on_ones_own_ground_says_so(tmp_path, capsys):
         ("--safety.max-tilt 45", "max_tilt is in rad"),
         ("--deadman 0", "--deadman must be positive"),
         ("--robot go1 --dry-run --power-level 11", "power level must be 1 to 10"),
+        ("--mode switch --unseen stop", "--unseen stop needs --mode memory, got switch"),
+        ("--mode blind --unseen slow", "--unseen slow needs --mode memory, got blind"),
         ("--fault lightning@5", "lightning"),
         ("--fault glass@1s", "nothing that could be glass"),
         ("--fault blackout@1s --camera none", "needs a camera to spoil"),
@@ -278,6 +280,13 @@ def test_mistakes_are_told_before_anything_moves(tmp_path, capsys, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     assert cli.main(["deploy", *arguments.split()]) == 2
     assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_bundle_without_memory_stops_nowhere_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(cfg, "remembers", lambda estimator: False)
+    with pytest.raises(RenetError, match="--unseen stop: go1-parkour has no memory of the ground"):
+        deploy(DeployCfg(unseen="stop", out=tmp_path / "out"))
     assert not list(tmp_path.iterdir())
 
 

@@ -13,6 +13,7 @@ import tyro
 
 from renet import __version__
 from renet.bundle import Bundle
+from renet.bundle.models import remembers
 from renet.deploy.cameras.base import CameraCfg
 from renet.deploy.catalogue import CAMERAS, ROBOTS, TELEOPS
 from renet.deploy.robots.base import DriverCfg
@@ -168,6 +169,10 @@ class DeployCfg:
                 raise RenetError(
                     f"the bundle drives a {name}, --robot {self.robot} is a {drives.name}"
                 )
+            if self.unseen != "walk" and not remembers(bundle.sessions["estimator"]):
+                raise RenetError(
+                    f"--unseen {self.unseen}: {bundle.name} has no memory of the ground"
+                )
         demand_none(problems)
         assert bundle is not None
         return bundle
@@ -193,6 +198,9 @@ class DeployCfg:
             yield f"--speed must be from 0 to {MAX_SPEED:g} m/s, got {self.speed}"
         if self.seed < 0:
             yield f"--seed must not be negative, got {self.seed}"
+        # Otherwise an operator would count on a robot that does not stop.
+        if self.unseen != "walk" and self.mode != "memory":
+            yield f"--unseen {self.unseen} needs --mode memory, got {self.mode}"
         if not self.robot_cfg.simulated:
             if self.camera_cfg.simulated:
                 yield f"--camera {self.camera} looks at a simulation: use realsense, replay or none"
