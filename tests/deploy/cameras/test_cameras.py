@@ -12,7 +12,7 @@ from renet.deploy.recording.reader import Recording
 from renet.deploy.recording.replay import ReplayCamera
 from renet.deploy.recording.tick import TICK_DTYPE
 from renet.errors import RenetError
-from renet.faults import Injection, parse_fault
+from renet.faults import Injection, Injector, parse_fault
 from renet.interface import CONTROL_DT
 
 from ..fakes import Standing, frame, time_of
@@ -111,6 +111,21 @@ def test_a_faster_camera_is_thinned_out_to_ten_frames_a_second():
     times = sorted({shown.time for shown in seen})
     assert len(times) == 20
     assert np.diff(times).min() >= 0.08 - 1e-9
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_faults_are_applied_once_to_each_frame_from_the_first_on(every, monkeypatch):
+    apply = Injector.apply
+    steps = []
+
+    def counted(injector, frames, step):
+        steps.append(step)
+        return apply(injector, frames, step)
+
+    monkeypatch.setattr(Injector, "apply", counted)
+    watch("gaussian@0s", 50, every=every)
+    assert steps[0] == 0
+    assert np.diff(steps).min() >= 4, "steps at which the frames were taken"
 
 
 @pytest.mark.parametrize("every", [1, 2, 5])
