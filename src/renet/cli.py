@@ -86,6 +86,18 @@ class Command:
                 module, config = self.presets[options.preset].split(":")
         return run, getattr(importlib.import_module(module), config), arguments
 
+    def program(self, name: str, config: Any) -> str:
+        """Return the words that call the command with a dataclass of options, such as a preset's.
+
+        Args:
+            name: Name of the command.
+            config: The dataclass.
+        """
+        for preset, target in self.presets.items():
+            if target.endswith(f":{config.__name__}"):
+                return f"renet {name} --preset {preset}"
+        return f"renet {name}"
+
 
 KEPT = "what has finished is kept: the same command goes on"
 AT_ONCE = "nothing is half-written: give the same command again"
@@ -296,7 +308,7 @@ def _dispatch(arguments: list[str]) -> int:
     try:
         command.check(rest, f"renet {name}")
         run, config, rest = command.load(rest)
-        cfg = parse(config, rest, f"renet {name}")
+        cfg = parse(config, rest, command.program(name, config))
         result = run(cfg)
     except ModuleNotFoundError as error:
         # Some modules are imported only if an option needs them.

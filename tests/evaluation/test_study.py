@@ -31,6 +31,28 @@ from .fakes import SPEED, FakeEvaluator
 from .tiny import STUDIES, TINY
 
 
+@pytest.mark.parametrize(
+    ("study", "settings", "words"),
+    [
+        (ReachStudy, {"modes": ("blind",)}, "evaluate memory --preset reach --modes blind"),
+        (CommandStudy, {"speed": 1.0}, "evaluate commands --speed 1"),
+    ],
+)
+def test_settings_that_change_nothing_are_refused(study, settings, words, tmp_path, capsys):
+    """Results would name the mode or the speed, and be of another one."""
+    *_, option, _ = words.split()
+    with pytest.raises(RenetError, match=f"study {study.name} has no use for {option}: leave it"):
+        study(tmp_path / "out", **settings)
+    assert cli.main([*words.split(), "--out", str(tmp_path / "out")]) == 2
+    command = words.partition(f" {option}")[0]
+    expected = f"renet: `renet {command}` has no use for {option}: leave it out\n"
+    assert capsys.readouterr().err == expected
+    with pytest.raises(SystemExit):
+        cli.main([*command.split(), "--help"])
+    assert f"{option} " not in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_recipe_of_a_study_runs_and_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(cli, "COMMANDS", dict(cli.COMMANDS))
     path = Path(__file__).parents[2] / "examples" / "add_study.py"

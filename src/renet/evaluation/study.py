@@ -8,7 +8,7 @@ writes `summary.json`, `summary.csv`, figures and `summary.md` with their proven
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args
@@ -94,8 +94,13 @@ class Study:
     """Name of the study, and of its folder in the results."""
     selectable: ClassVar[tuple[str, ...]] = ()
     """Settings that select which parts are made, and that no part's numbers depend on."""
+    unused: ClassVar[tuple[str, ...]] = ()
+    """Settings of other studies that this one has no use for; it refuses other values than their
+    defaults, and the command line refuses the options."""
 
     def __post_init__(self) -> None:
+        if useless := self.changed(self.unused):
+            raise RenetError(f"the study {self.name} has no use for {useless}: leave it out")
         check_finite(self)
         demand_name("conditions", self.conditions, get_args(Conditions))
         if self.jobs < 1:
@@ -112,6 +117,15 @@ class Study:
         if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
             raise RenetError(f"shard {self.shard!r}: write I/N, such as 1/2 and 2/2")
         return slice(int(number) - 1, None, int(count))
+
+    def changed(self, names: Sequence[str]) -> str:
+        """Name the options among these settings that are not at their defaults, in words."""
+        defaults = {field.name: field.default for field in fields(self)}
+        options = []
+        for name in names:
+            if getattr(self, name) != defaults[name]:
+                options.append(f"--{name.replace('_', '-')}")
+        return " and ".join(options)
 
     def parts(self, evaluator: Evaluator) -> Mapping[str, Callable[[], Part]]:
         """Return the function that runs each batch of robots, by the name of the batch's part."""

@@ -100,8 +100,8 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
     [
         ({"entries": ("memory", "memory")}, "give each of them once"),
         ({"entries": ("renet",)}, "unknown entry 'renet': choose among memory"),
-        ({"conditions": "training"}, "has its own: leave out --conditions$"),
-        ({"seed": 2, "motors": "go1"}, "has its own: leave out --seed and --motors$"),
+        ({"conditions": "training"}, "has no use for --conditions: leave it out$"),
+        ({"seed": 2, "motors": "go1"}, "has no use for --seed and --motors: leave it out$"),
         ({"verify": "r.json", "quick": True}, "--verify walks ten episodes .* leave out --quick$"),
         ({"verify": "r.json", "draw_seed": 5, "shard": "1/2"}, "leave out --draw-seed and --shard"),
         ({"policy": "x.onnx"}, "give --policy FILE and --adapter together"),

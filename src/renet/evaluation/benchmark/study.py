@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, get_args
@@ -64,7 +64,6 @@ class BenchmarkStudy(Study, PolicyOptions):
     name: ClassVar[str] = "benchmark"
     selectable: ClassVar[tuple[str, ...]] = ("quick", "episodes", "method", "verify")
     unused: ClassVar[tuple[str, ...]] = ("seed", "conditions", "motors")
-    """Options of all studies that this one has no use for; the command line refuses them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,9 +72,7 @@ class BenchmarkStudy(Study, PolicyOptions):
             raise RenetError("entries: give each of them once")
         if unknown := {*self.entries} - {*known}:
             raise RenetError(f"unknown entry {unknown.pop()!r}: choose among {', '.join(known)}")
-        if useless := self._changed(self.unused):
-            raise RenetError(f"every episode of the benchmark has its own: leave out {useless}")
-        if self.verify is not None and (useless := self._changed(_UNVERIFIED)):
+        if self.verify is not None and (useless := self.changed(_UNVERIFIED)):
             raise RenetError(f"--verify walks ten episodes of a result: leave out {useless}")
         self.check_policy(self.bundle)
         if self.draw_seed < 0:
@@ -103,15 +100,6 @@ class BenchmarkStudy(Study, PolicyOptions):
             )
         if self.quick or self.sealed is not None:
             raise RenetError("give --episodes without --quick and --sealed")
-
-    def _changed(self, names: Sequence[str]) -> str:
-        """Name the options among these settings that are not at their defaults, in words."""
-        defaults = {field.name: field.default for field in fields(self)}
-        options = []
-        for name in names:
-            if getattr(self, name) != defaults[name]:
-                options.append(f"--{name.replace('_', '-')}")
-        return " and ".join(options)
 
     def make_evaluator(self) -> Evaluator:
         """Make the evaluator of the bundle, or of another project's policy."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
+import tyro
 from matplotlib.figure import Figure
 
 from renet.errors import RenetError
@@ -61,10 +62,13 @@ class CommandStudy(WalkingStudy):
     out: Path = Path("results/commands")
     """Folder for summary.md, summary.json, summary.csv, commands.png and parts/."""
     modes: tuple[StudyMode, ...] = ("camera", "blind")
+    # Hidden, because the commands are `TWISTS`: see `unused`.
+    speed: tyro.conf.Suppress[float] = 0.6
     seconds: float = 8.0
     """Length of each run, s, of which the first two seconds do not count."""
 
     name: ClassVar[str] = "commands"
+    unused: ClassVar[tuple[str, ...]] = ("speed",)
     quick_robots: ClassVar[int] = 3
 
     def __post_init__(self) -> None:

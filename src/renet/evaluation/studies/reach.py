@@ -15,11 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib.pyplot as plt
 import numpy as np
+import tyro
 
 from renet.errors import RenetError, demand_name
 from renet.evaluation import figures, metrics
 from renet.evaluation.results import column, group_by, select
 from renet.evaluation.rollout import robot_numbers
+from renet.evaluation.settings import StudyMode
 from renet.evaluation.studies.grounds import one_tile_cfg, start_facing
 from renet.evaluation.studies.memory import DEAD_CAMERA
 from renet.evaluation.study import Figures, Part, Table, WalkingStudy
@@ -58,12 +60,15 @@ class ReachStudy(WalkingStudy):
     """Ground between the two, m."""
     unseen: tuple[Unseen, ...] = UNSEEN
     """Conducts at the end of the ground that a robot has seen."""
+    # Hidden, because the other modes have no memory to reach anywhere: see `unused`.
+    modes: tyro.conf.Suppress[tuple[StudyMode, ...]] = ("memory",)
     robots: int = 40
     """Number of robots in each setting; with `quick` always fewer."""
     seconds: float = 12.0
     """Time to leave the tile, s."""
 
     name: ClassVar[str] = "reach"
+    unused: ClassVar[tuple[str, ...]] = ("modes",)
     quick_robots: ClassVar[int] = 6
 
     def __post_init__(self) -> None:
