@@ -282,14 +282,14 @@ class WalkingStudy(Study):
     modes: tuple[StudyMode, ...] = ("camera", "memory", "blind")
     """Policy modes to compare."""
     robots: int = 20
-    """Number of robots in each setting and mode; with `quick` always fewer."""
+    """Number of robots in each setting and mode; with `quick` a few at most."""
     speed: float = 0.6
     """Commanded forward speed, m/s."""
     seconds: float = 8.0
     """Length of each run, s."""
 
     quick_robots: ClassVar[int] = 5
-    """Number of robots in each setting and mode with `quick`."""
+    """Largest number of robots in each setting and mode with `quick`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -308,7 +308,7 @@ class WalkingStudy(Study):
     @property
     def robots_each(self) -> int:
         """Number of robots in each setting and mode, with `quick` taken into account."""
-        return self.quick_robots if self.quick else self.robots
+        return min(self.robots, self.quick_robots) if self.quick else self.robots
 
     def trial_group(
         self, mode: str, schedule: FaultSchedule = (), ground: str = FLAT_GROUND

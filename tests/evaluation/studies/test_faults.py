@@ -97,6 +97,8 @@ def test_a_single_surprising_image_is_no_false_alarm(tmp_path):
 
 
 def test_quick_is_smaller_and_glass_is_studied_where_there_are_obstacles():
+    mild = FaultStudy(quick=True, severities=(3, 2))
+    assert {setting.severity for setting in mild.batches["foam"]} == {3}
     quick, full = FaultStudy(quick=True), FaultStudy()
     settings = {(s.onset, s.severity) for s in quick.batches["frozen"] if s.ground == "gap"}
     assert settings == {(1.5, 5)}

@@ -25,3 +25,5 @@ def test_robots_that_stop_stand_and_restless_ones_do_not(run_study):
 def test_flat_ground_has_one_level():
     groups = StandingStudy(kinds=("flat", "gap"), levels=(3, 5), modes=("blind",)).groups
     assert groups == [("flat", 1, "blind"), ("gap", 3, "blind"), ("gap", 5, "blind")]
+    quick = StandingStudy(kinds=("flat", "gap"), levels=(5, 3), modes=("blind",), quick=True)
+    assert quick.groups == [("flat", 1, "blind"), ("gap", 3, "blind")]

@@ -201,6 +201,15 @@ def test_the_files_that_a_scene_includes_are_part_of_its_digest(tmp_path):
     assert digests[0] == digests[1] != digests[2]
 
 
+@pytest.mark.parametrize(
+    ("asked", "walked"), [((1, 2, 3, 4, 6), [1, 2, 4]), ((10, 2), [2]), ((8, 10), [8, 10])]
+)
+def test_quick_walks_on_no_level_that_was_not_asked_for(asked, walked):
+    study = terrain.SuccessStudy(levels=asked, robots=2, modes=("memory",), quick=True)
+    assert [level for level, _ in study.settings] == walked
+    assert study.robots_each == 2, "quick takes no more robots than are asked for"
+
+
 def test_a_scene_has_one_level(tmp_path):
     file = tmp_path / "scene.xml"
     file.write_text("<mujoco><worldbody><geom type='plane' size='9 9 1'/></worldbody></mujoco>")

@@ -117,7 +117,8 @@ class FaultStudy(WalkingStudy):
             if severity:
                 severities: tuple[int, ...] = (int(severity),)
             else:
-                severities = (5,) if self.quick else self.severities
+                # `quick` takes the most severe one.
+                severities = tuple(sorted(self.severities))[-1:] if self.quick else self.severities
             settings = self._settings_of(fault, severities)
             if settings:
                 batches[text.replace(":", "_")] = settings

@@ -63,7 +63,7 @@ class ReachStudy(WalkingStudy):
     # Hidden, because the other modes have no memory to reach anywhere: see `unused`.
     modes: tyro.conf.Suppress[tuple[StudyMode, ...]] = ("memory",)
     robots: int = 40
-    """Number of robots in each setting; with `quick` always fewer."""
+    """Number of robots in each setting; with `quick` a few at most."""
     seconds: float = 12.0
     """Time to leave the tile, s."""
 

@@ -62,7 +62,7 @@ class StandingStudy(TerrainStudy):
             for level, mode in self.settings:
                 if kind != FLAT_GROUND:
                     groups.append((kind, level, mode))
-                elif level == self.levels[0]:
+                elif level == self.walked_levels[0]:
                     groups.append((kind, 1, mode))
         return groups
 

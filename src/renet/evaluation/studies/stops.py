@@ -43,7 +43,7 @@ class StopsStudy(WalkingStudy):
     """Angles between the robots' way and straight at the barrier, degrees."""
     modes: tuple[StudyMode, ...] = ("camera",)
     robots: int = 50
-    """Number of robots for each kind, angle and mode; with `quick` always fewer."""
+    """Number of robots for each kind, angle and mode; with `quick` a few at most."""
     seconds: float = 10.0
     """Length of each run, s; the barrier is 1.6 m from the start."""
 

@@ -95,7 +95,7 @@ class TerrainStudy(WalkingStudy):
     sizes: ClassVar[Mapping[str, tuple[float, float]]] = {}
     """Sizes at levels 1 and 10, m, of the tiles that are not of the curriculum's sizes."""
     quick_levels: ClassVar[tuple[int, ...]] = tuple(range(1, LEVELS + 1))
-    """Levels with `quick`."""
+    """Levels that are kept with `quick`, unless none of them is among `levels`."""
     quick_robots: ClassVar[int] = 4
 
     def __post_init__(self) -> None:
@@ -132,10 +132,16 @@ class TerrainStudy(WalkingStudy):
     @property
     def settings(self) -> list[tuple[int, str]]:
         """Level and mode of every group of robots on one kind of tile."""
-        # An MJCF scene has one level.
-        one_level = self.scene is not None and len(self.levels) == 1
-        levels = self.quick_levels if self.quick and not one_level else self.levels
-        return list(product(levels, self.modes))
+        return list(product(self.walked_levels, self.modes))
+
+    @property
+    def walked_levels(self) -> list[int]:
+        """Levels to walk on, with `quick` taken into account."""
+        levels = list(self.levels)
+        if not self.quick:
+            return levels
+        # Levels that are asked for and all difficult are walked, with fewer robots.
+        return [level for level in levels if level in self.quick_levels] or levels
 
     def file_digests(self) -> dict[str, str]:
         """Return the hashes of the files of motors and ground, for parts' keys."""
@@ -370,7 +376,7 @@ class DawnStudy(SuccessStudy):
     """Sizes, as tenths of their range, 1 to 10."""
     modes: tuple[StudyMode, ...] = ("camera", "blind")
     robots: int = 10
-    """Number of robots for each size and mode; with `quick` always fewer."""
+    """Number of robots for each size and mode; with `quick` a few at most."""
 
     name: ClassVar[str] = "dawn"
     twins: ClassVar[bool] = False
