@@ -47,6 +47,17 @@ def check_speed(speed: float) -> None:
         raise RenetError(f"speed must be positive, got {speed}")
 
 
+def check_once(settings: Any) -> None:
+    """Raise RenetError for a tuple among a dataclass's fields that has the same value twice.
+
+    The robots of that value would count twice.
+    """
+    for name, values in vars(settings).items():
+        if isinstance(values, tuple) and len({*values}) < len(values):
+            twice = next(value for value in values if values.count(value) > 1)
+            raise RenetError(f"{name.replace('_', ' ')} has {twice} more than once: give it once")
+
+
 def check_finite(settings: Any) -> None:
     """Raise RenetError for a field of a dataclass that is infinite or NaN."""
     for name, value in vars(settings).items():

@@ -37,6 +37,7 @@ from renet.evaluation.settings import (
     StudyMode,
     check_finite,
     check_modes,
+    check_once,
     check_speed,
 )
 from renet.evaluation.trace import Trace
@@ -102,6 +103,7 @@ class Study:
         if useless := self.changed(self.unused):
             raise RenetError(f"the study {self.name} has no use for {useless}: leave it out")
         check_finite(self)
+        check_once(self)
         demand_name("conditions", self.conditions, get_args(Conditions))
         if self.jobs < 1:
             raise RenetError(f"jobs must be at least 1, got {self.jobs}")

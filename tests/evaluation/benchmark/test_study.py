@@ -98,7 +98,7 @@ def test_a_short_run_is_never_ranked_and_later_taken_over(study, tmp_path, monke
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"entries": ("memory", "memory")}, "give each of them once"),
+        ({"entries": ("memory", "memory")}, "entries has memory more than once: give it once"),
         ({"entries": ("renet",)}, "unknown entry 'renet': choose among memory"),
         ({"conditions": "training"}, "has no use for --conditions: leave it out$"),
         ({"seed": 2, "motors": "go1"}, "has no use for --seed and --motors: leave it out$"),

@@ -68,8 +68,6 @@ class BenchmarkStudy(Study, PolicyOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         known = get_args(EntryName)
-        if len({*self.entries}) < len(self.entries):
-            raise RenetError("entries: give each of them once")
         if unknown := {*self.entries} - {*known}:
             raise RenetError(f"unknown entry {unknown.pop()!r}: choose among {', '.join(known)}")
         if self.verify is not None and (useless := self.changed(_UNVERIFIED)):
