@@ -57,7 +57,7 @@ def test_severities_and_onsets_are_judged_together_and_grounds_apart():
     # 3 of 10 against none of 10: 10.5 %; 5, the mean of 3, 6, 6 and 6: 1.6 %.
     assert not missed(rows, usual(0))[0]["beyond_chance"]
     assert [miss["beyond_chance"] for miss in missed(rows + worse, usual(0))] == [True] * 4
-    claim = findings(rows + worse[:2], usual(0), healthy(0, 0))["claims"][1]
+    claim, *_ = findings(rows + worse[:2], usual(0), healthy(0, 0))["claims"]
     text = "2 settings not noticed by every robot: foam 3 on flat, foam 5 on flat"
     assert (claim["met"], claim["measured"]) == (False, text)
     elsewhere = rows + [row | {"ground": "gap"} for row in worse]
@@ -92,9 +92,9 @@ def test_robots_that_fall_alike_in_all_settings_count_once(rate):
 def test_claims_are_judged_by_what_was_measured():
     blind = {"severity": 5, "detected_by_paper": 0}
     runs = [
-        run("frozen", "memory", **blind),
+        run("frozen", "memory", **blind, **beside_op(0.0)),
         run("blackout", "camera", 9, severity=5),
-        run("blackout", "memory", detected=9, detection_delay_s=0.3, **blind),
+        run("blackout", "memory", detected=9, detection_delay_s=0.3, **blind, **beside_op(0.0)),
         run("blackout", "blind", severity=5),
     ]
     claims = findings(runs, usual(0), healthy(1, 2.5))["claims"]
@@ -103,7 +103,24 @@ def test_claims_are_judged_by_what_was_measured():
     text = "10 of 10 robots; by the rule of mode switch 0"
     assert measured["frozen images are noticed"] == text
     # Where nothing makes VP fall, there is no delay to judge; without healthy hours no switches.
-    harmless = findings(runs[:1], [], healthy(3, 2.0))["claims"]
+    camera = run("frozen", "camera", severity=5)
+    harmless = findings([runs[0], camera], [], healthy(3, 2.0))["claims"]
     assert [claim["met"] for claim in harmless] == [True, True, False, True]
     unknown = findings(runs[:1], [], healthy(0, 0))["claims"]
     assert not any("false switch" in claim["claim"] for claim in unknown)
+
+
+@pytest.mark.parametrize(
+    ("runs", "words"),
+    [
+        ([run("foam", "switch", 5), run("foam", "oracle", 5)], []),
+        ([run("foam", "memory", 9), run("foam", "camera")], ["goes unnoticed"]),
+        ([run("foam", "memory", severity=2), run("foam", "camera", severity=2)], []),
+        ([run("foam", "memory", **beside_op(0.0)), run("foam", "blind")], ["than blind"]),
+        ([run("foam", "memory", ground="gap", **beside_op(0.0))], []),
+    ],
+)
+def test_nothing_is_claimed_of_modes_and_grounds_that_were_not_walked(runs, words):
+    claims = findings(runs, usual(0), healthy(0, 0))["claims"]
+    assert len(claims) == len(words)
+    assert all(word in claim["claim"] for word, claim in zip(words, claims, strict=True))

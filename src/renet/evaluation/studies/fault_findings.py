@@ -35,7 +35,8 @@ def setting_of(run: dict[str, Any]) -> Setting:
 def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, Any]:
     """Find `harmful` and `missed` settings in a summary's rows, and judge its `claims`.
 
-    A claim is a row with its text in `claim`, `met`, a bool, and the numbers in `measured`.
+    A claim is a row with its text in `claim`, `met`, a bool, and the numbers in `measured`. Claims
+    about modes, grounds or faults that are not among the rows are left out.
 
     Args:
         runs: Rows with their pairs, see `fault_metrics`.
@@ -44,20 +45,9 @@ def findings(runs: Runs, baseline: Runs, healthy: dict[str, Any]) -> dict[str, A
     """
     harm = harmful(runs, baseline)
     misses = missed(runs, baseline)
-    simple = [row for row in harm if row["ground"] not in DIFFICULT]
-    severe = [miss for miss in misses if miss["severity"] >= _SEVERE]
-    # The first claim is on simple ground only.
     claims = [
-        _chance_claim(
-            "on simple ground no fault makes memory fall more often than blind, beyond chance",
-            simple,
-            "settings below",
-        ),
-        _chance_claim(
-            f"no fault of severity >= {_SEVERE} that makes camera fall goes unnoticed",
-            severe,
-            "settings not noticed by every robot",
-        ),
+        *_harm_claim(runs, harm),
+        *_missed_claim(runs, misses),
         *_delay_claim(runs, baseline),
         *_false_switch_claim(healthy),
         *_blind_claims(runs),
@@ -154,6 +144,26 @@ def _fall_counts(rows: Runs) -> tuple[int, int]:
     # Rounded down, so that chance is not called a fault.
     falls = sum(column(rows, "falls")) // len(rows)
     return falls, rows[0]["robots"] - falls
+
+
+def _harm_claim(runs: Runs, harm: Runs) -> Runs:
+    """Make the claim on harm by memory on simple ground; none unless blind walks there, too."""
+    compared = [run for run in select(runs, mode="memory") if run["over_op"] is not None]
+    if all(run["ground"] in DIFFICULT for run in compared):
+        return []
+    simple = [row for row in harm if row["ground"] not in DIFFICULT]
+    claim = "on simple ground no fault makes memory fall more often than blind, beyond chance"
+    return [_chance_claim(claim, simple, "settings below")]
+
+
+def _missed_claim(runs: Runs, misses: Runs) -> Runs:
+    """Make the claim on missed severe faults; none unless memory and camera walk with one."""
+    severe = [run for run in runs if run["severity"] >= _SEVERE]
+    if not (select(severe, mode="memory") and select(severe, mode="camera")):
+        return []
+    severe_misses = [miss for miss in misses if miss["severity"] >= _SEVERE]
+    claim = f"no fault of severity >= {_SEVERE} that makes camera fall goes unnoticed"
+    return [_chance_claim(claim, severe_misses, "settings not noticed by every robot")]
 
 
 def _chance_claim(claim: str, settings: Runs, what: str) -> dict[str, Any]:

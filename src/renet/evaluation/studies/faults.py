@@ -429,8 +429,10 @@ class FaultStudy(WalkingStudy):
             missed.append((figures.setting_label(finding), *counts))
         tables: list[Table] = [
             ("Robots that cross (%)", ("ground", "fault", *self.modes), crossed),
-            ("What is claimed, and what was measured", ("met", "claim", "measured"), claims),
         ]
+        if claims:
+            title = "What is claimed, and what was measured"
+            tables.append((title, ("met", "claim", "measured"), claims))
         if harmful:
             title = "On their feet (%): fewer in mode memory than blind, beyond chance"
             tables.append((title, ("setting", "memory", "blind"), harmful))
