@@ -134,13 +134,16 @@ class FilterStudy(Study):
             formula = [run["formula_s"] for run in line]
             left.plot(gamma, formula, "-", color=colour, linewidth=1, label=f"{label}, formula")
             switches = [run["switches_per_minute"] for run in line]
-            right.plot(gamma, switches, "o-", color=colour, label=label, markersize=4)
+            right.plot(gamma, switches, "o-", color=colour, markersize=4)
         left.axhline(0.04, color=figures.INK, linestyle=":", linewidth=1)
         left.set(title="(a) Delay of the switch", ylabel="delay (s)", yscale="log")
         right.set(title="(b) Switches, camera flickering", ylabel="switches per minute")
+        figures.label_log_ticks(left.yaxis)
         for axis in (left, right):
             axis.set(xlabel="γ", xscale="log")
-            axis.legend(fontsize=8)
+            figures.label_log_ticks(axis.xaxis)
+        # Colours are the same in both.
+        figures.legend(figure, left)
         return {"filter.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:

@@ -17,6 +17,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+from filter import FilterStudy
 from renet.evaluation.figures import STYLE, save_figure
 from renet.evaluation.metrics import with_share_interval
 from renet.evaluation.results import Provenance, select
@@ -62,6 +65,12 @@ def crossed(summary: dict[str, Any]) -> Figure:
     return crossed_table(modes)
 
 
+def filtered(summary: dict[str, Any]) -> Figure:
+    """Delay and switches of the selector's filter, against the weight of a verdict."""
+    rates = tuple(summary["settings"]["rates"])
+    return FilterStudy(rates=rates).draw(summary, {})["filter.png"]
+
+
 def driven(summary: dict[str, Any]) -> Figure:
     """Velocities asked for and done."""
     return CommandStudy().draw(summary, {})["commands.png"]
@@ -70,6 +79,7 @@ def driven(summary: dict[str, Any]) -> Figure:
 FIGURES = {
     "crossed": ("shipped/severity_5", crossed),
     "driven": ("driving/commands", driven),
+    "filter": ("shipped/filter", filtered),
     "go2_memory": ("go2/memory", memory),
     "margins": ("shipped/margins", margins),
     "memory": ("shipped/memory", memory),

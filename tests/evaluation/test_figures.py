@@ -2,6 +2,7 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pytest
 from PIL import Image, ImageColor
 
 from renet.evaluation import figures
@@ -19,6 +20,20 @@ def test_a_name_that_looks_like_a_formula_is_drawn_as_it_is(tmp_path):
         figures.legend(figure, axis)
         path = figures.save_figure(figure, tmp_path / "odd.png", provenance)
     assert ODD in Image.open(path).text["Description"]
+
+
+@pytest.mark.parametrize("limits", [(2e-4, 0.7), (0.2, 0.7)])
+def test_ticks_of_a_logarithmic_axis_are_plain_numbers(limits):
+    with plt.rc_context(figures.STYLE):
+        figure, axis = plt.subplots()
+        axis.set(yscale="log", ylim=limits)
+        figures.label_log_ticks(axis.yaxis)
+        figure.canvas.draw()
+    plt.close(figure)
+    labels = [label.get_text() for label in axis.get_yticklabels(which="both")]
+    values = [float(label.replace("−", "-")) for label in labels if label]
+    assert len(values) >= 2
+    assert all(limits[0] / 10 <= value <= limits[1] * 10 for value in values)
 
 
 def test_a_legend_of_long_names_is_within_the_figure_and_names_each_once():

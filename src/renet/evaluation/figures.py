@@ -19,8 +19,10 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
+from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
 from renet.evaluation.results import Provenance, column, group_by
 from renet.files import write_atomically
@@ -111,6 +113,16 @@ def png(figure: Figure, dpi: int = 150, description: str | None = None) -> bytes
     figure.savefig(picture, format="png", dpi=dpi, metadata={"Description": description})
     plt.close(figure)
     return picture.getvalue()
+
+
+def label_log_ticks(axis: Axis) -> None:
+    """Label the ticks of a logarithmic axis with plain numbers, such as 0.01.
+
+    matplotlib's own labels are formulae, which `STYLE` draws as they are written.
+    """
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    # It labels them only where there are hardly any major ticks.
+    axis.set_minor_formatter(LogFormatter())
 
 
 def setting_label(finding: dict[str, Any]) -> str:

@@ -74,8 +74,11 @@ def test_the_timelines_threshold_is_named_after_who_obeys_it(tmp_path, monkeypat
     draw = NoiseStudy.draw
     monkeypatch.setattr(NoiseStudy, "draw", lambda *args: drawings.update(draw(*args)) or {})
     NoiseStudy(tmp_path, robots=2, faults=("gaussian:5",), **SHORT).run(Judged())
-    line = next(line for line in drawings["timeline.png"].axes[0].lines if "β" in line.get_label())
+    axis = drawings["timeline.png"].axes[0]
+    line = next(line for line in axis.lines if "β" in line.get_label())
     assert (line.get_label(), line.get_ydata()[0]) == (name, Judged.beta)
+    # Formulae would be drawn as they are written.
+    assert not any("$" in label.get_text() for label in axis.get_yticklabels(which="both"))
 
 
 def test_faults_may_be_added_to_a_study(tmp_path, monkeypatch):

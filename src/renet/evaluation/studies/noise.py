@@ -250,6 +250,7 @@ def draw_timeline(
     # Leave room above the curve for the marks' texts.
     top = 4 * np.max(anomaly, where=~np.isnan(anomaly), initial=beta)
     axis.set(yscale="log", ylim=(None, top), xlim=(0, time[-1]))
+    figures.label_log_ticks(axis.yaxis)
     axis.set(title=title, xlabel="time (s)", ylabel="anomaly score")
     for instant, text in marks:
         axis.axvline(instant, color=figures.INK, linewidth=1, linestyle=":")
