@@ -87,7 +87,9 @@ def add_footer(figure: Figure, provenance: Provenance) -> None:
     """Write the provenance below a figure, shortened, in lines as long as the figure is wide."""
     line = provenance.line
     short = line if len(line) <= 150 else line[:149] + "…"
-    footer = textwrap.fill(short, int(_FOOTER_LETTERS * figure.get_figwidth()))
+    letters = int(_FOOTER_LETTERS * figure.get_figwidth())
+    # A hyphen may be part of a command.
+    footer = textwrap.fill(short, letters, break_on_hyphens=False)
     figure.supxlabel(footer, fontsize=6.5, color=FAINT, x=0.01, ha="left")
 
 

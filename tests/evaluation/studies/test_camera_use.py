@@ -2,10 +2,13 @@
 
 from functools import partial
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from renet.evaluation.evaluator import Evaluator
+from renet.evaluation.figures import STYLE
 from renet.evaluation.studies import camera_use
 from renet.evaluation.studies.camera_use import VIEWS, compare_with_twins, sentence
 
@@ -75,6 +78,24 @@ def test_the_probability_is_the_sign_tests():
     part = dict.fromkeys(VIEWS, rows(30, 0)) | {"blank": rows(25, 0)}
     assert compare_with_twins(part, "blank")["p"] == pytest.approx(2 * 0.5**5)
     assert compare_with_twins(part, "blank")["change"] == pytest.approx(-5 / 40)
+
+
+def test_the_sentence_stands_above_the_legend():
+    rows = []
+    for view in VIEWS:
+        share = {"crossed_rate": 0.9, "crossed_ci95_low": 0.8, "crossed_ci95_high": 1.0}
+        rows.append({"ground": "gap:3", "view": view, "mode": "camera"} | share)
+    said = "This policy uses its camera: 20 of 20 robots cross, and 10 when they are shown black."
+    with plt.rc_context(STYLE):
+        drawn = camera_use.CameraUseStudy().draw({"runs": rows, "sentence": said}, {})
+        figure = drawn["camera_use.png"]
+        figure.canvas.draw()
+    plt.close(figure)
+    (legend,) = figure.legends
+    shown = [text for text in figure.findobj(Text) if "This policy" in text.get_text()]
+    assert " ".join(shown[0].get_text().split()) == said
+    for name in legend.get_texts():
+        assert name.get_window_extent().y1 <= shown[0].get_window_extent().y0
 
 
 class Reader:

@@ -165,7 +165,11 @@ class CameraUseStudy(LevelStudy):
         for (ground,), runs in group_by(summary["runs"], "ground").items():
             panels[ground.replace("_", " ")] = runs
         figure = figures.share_panels(panels, "crossed", itemgetter("view"), rotation=90)
-        figure.suptitle(textwrap.fill(summary["sentence"], 72), fontsize=9)
+        # The sentence and the names of the views need room.
+        figure.set_figheight(figure.get_figheight() + 1.4)
+        # matplotlib would draw a title of the figure over the legend.
+        (legend,) = figure.legends
+        legend.set_title(textwrap.fill(summary["sentence"], 72), prop={"size": 9})
         return {"camera_use.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
