@@ -3,6 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image, ImageColor
 
 from renet.evaluation import figures
@@ -20,6 +21,21 @@ def test_a_name_that_looks_like_a_formula_is_drawn_as_it_is(tmp_path):
         figures.legend(figure, axis)
         path = figures.save_figure(figure, tmp_path / "odd.png", provenance)
     assert ODD in Image.open(path).text["Description"]
+
+
+@pytest.mark.parametrize("columns", ["5", "12345"])
+def test_titles_of_coloured_tables_are_within_the_figure_and_apart(columns):
+    names = ("monitors of mode memory", "rule of mode switch")
+    cells = {("blackout", severity): (50.0, "50") for severity in columns}
+    title = "Robots with vision that noticed the fault while it lasted (%)"
+    with plt.rc_context(figures.STYLE):
+        figure = figures.colour_tables(dict.fromkeys(names, cells), title, "severity")
+        figure.canvas.draw()
+        texts = {" ".join(text.get_text().split()): text for text in figure.findobj(Text)}
+        first, second, whole = (texts[name].get_window_extent() for name in (*names, title))
+    plt.close(figure)
+    assert first.x1 < second.x0
+    assert max(second.x1, whole.x1) <= figure.bbox.x1
 
 
 @pytest.mark.parametrize("limits", [(2e-4, 0.7), (0.2, 0.7)])

@@ -40,6 +40,10 @@ FIGURE_WIDTH = 5.6
 """Width of a figure of several panels, inches: on a telephone its letters are 9 pixels high."""
 _FOOTER_LETTERS = 19
 """Letters of a figure's last line in an inch."""
+_TITLE_LETTERS = 11.5
+"""Letters of a figure's title in an inch."""
+_PANEL_LETTERS = 9
+"""Letters of a panel's title, which is bold, in an inch."""
 MODE_COLOURS = {
     "camera": SEES_COLOUR,
     "memory": REMEMBERS_COLOUR,
@@ -166,7 +170,7 @@ def colour_tables(
         panels: Cells of each table, by its title.
         title: Title of the figure.
         xlabel: Name of the columns' quantity.
-        width: Width of a column, inches.
+        width: Smallest width of a column, inches.
         stacked: Tables are below one another instead of side by side.
         rotation: Rotation of the columns' names, degrees.
     """
@@ -174,10 +178,15 @@ def colour_tables(
     places = list(chain.from_iterable(panels.values()))
     rows = list(dict.fromkeys(row for row, _ in places))
     columns = list(dict.fromkeys(heading for _, heading in places))
+    # A table is at least as wide as its title.
+    width = max(width, max(map(len, panels)) / (_PANEL_LETTERS * len(columns)))
     with plt.rc_context({"axes.grid": False, "axes.spines.left": False}):
         across = 1 if stacked else len(panels)
         down = len(panels) if stacked else 1
-        size = (2.0 + width * len(columns) * across, 0.6 + (0.8 + 0.28 * len(rows)) * down)
+        figure_width = 2.0 + width * len(columns) * across
+        lines = textwrap.wrap(title, int(_TITLE_LETTERS * figure_width))
+        height = 0.4 + 0.2 * len(lines) + (0.8 + 0.28 * len(rows)) * down
+        size = (figure_width, height)
         figure, axes = plt.subplots(down, across, figsize=size, sharey=True, squeeze=False)
         for axis, (name, panel) in zip(axes.flat, panels.items(), strict=True):
             shade = np.full((len(rows), len(columns)), np.nan)
@@ -193,7 +202,7 @@ def colour_tables(
             axis.set_yticks(range(len(rows)), [row.replace("_", " ") for row in rows])
             axis.tick_params(length=0)
             axis.set(title=name, xlabel=xlabel)
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=11)
         return figure
 
 
