@@ -40,7 +40,7 @@ FIGURE_WIDTH = 5.6
 """Width of a figure of several panels, inches: on a telephone its letters are 9 pixels high."""
 _FOOTER_LETTERS = 19
 """Letters of a figure's last line in an inch."""
-_TITLE_LETTERS = 11.5
+_TITLE_LETTERS = 12
 """Letters of a figure's title in an inch."""
 _PANEL_LETTERS = 9
 """Letters of a panel's title, which is bold, in an inch."""
