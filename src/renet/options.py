@@ -1,5 +1,6 @@
 """Options of commands whose own modules need PyTorch: help and mistakes need not load it."""
 
+import argparse
 import math
 import re
 import sys
@@ -106,6 +107,20 @@ class UsualOptions(TrainOptions):
             if not is_setting:
                 kept.append(argument)
         return kept
+
+    @staticmethod
+    def task_of(arguments: Sequence[str]) -> str:
+        """Return the task that a command line names, before or after options; empty for none.
+
+        Raises as `known`.
+        """
+        parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+        for option in fields(UsualOptions)[1:]:
+            name = option.name
+            parser.add_argument(*{f"--{name.replace('_', '-')}", f"--{name}"}, nargs="?")
+        # argparse would take a task that follows options for none, if it knew of one.
+        _, others = parser.parse_known_args(UsualOptions.known(arguments))
+        return next((argument for argument in others if not argument.startswith("-")), "")
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> "UsualOptions":

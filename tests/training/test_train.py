@@ -219,6 +219,21 @@ def test_settings_come_back_from_their_description():
     )
 
 
+@pytest.mark.parametrize("before", [["--num-envs", "8"], ["--num_envs=8"], ["--seed", "-1"]])
+def test_settings_are_those_of_a_task_after_options(before):
+    flat = parse(TrainCfg, [*before, "Renet-Go1-Flat", "--max-iterations", "3"], "")
+    assert flat.task == flat.agent.task == flat.agent.experiment_name == "Renet-Go1-Flat"
+    assert flat.env.scene.terrain.terrain_type == "plane"
+    assert flat.agent.max_iterations == 3
+
+
+def test_a_task_after_a_setting_is_told_to_come_first(finished):
+    late = ["--resume", str(finished), "--agent.average-over", "3", "Renet-Go1-Parkour"]
+    mixed = parse(TrainCfg, late, "")
+    with pytest.raises(RenetError, match="write the task first: renet train Renet-Go1-Parkour"):
+        training.train_command(mixed)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_stops_with_checkpoint(tmp_path, capsys, monkeypatch, number):
     act, steps = training.RenetRunner._iterate, []

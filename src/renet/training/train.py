@@ -29,6 +29,7 @@ from renet.options import (
     TASK,
     RecipeCfg,
     TrainOptions,
+    UsualOptions,
     check_device,
     resumed_folder,
     seconds,
@@ -94,17 +95,17 @@ class TrainCfg(TrainOptions):
         """Return the settings that a command line changes: a task's, a file's, or a resumed run's.
 
         Args:
-            arguments: The command line, with the task first, if it is there.
+            arguments: The command line, which need not name a task.
 
         Raises:
-            RenetError: The task is unknown, or file or run cannot be read.
+            RenetError: The task or an option is unknown, or file or run cannot be read.
         """
         parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
         parser.add_argument("--resume", nargs="?", const="")
         parser.add_argument("--log-root", "--log_root", nargs="?", type=Path)
         parser.add_argument("--config", nargs="?", type=Path)
         paths, _ = parser.parse_known_args(arguments)
-        task = next((a for a in arguments[:1] if not a.startswith("-")), "")
+        task = UsualOptions.task_of(arguments)
         if paths.resume is not None:
             path = checkpoints.find(resumed_folder(paths.resume, paths.log_root, task))
             return cls.resumed(checkpoints.load_state(path), task)
@@ -158,7 +159,17 @@ class TrainCfg(TrainOptions):
 
 
 def train_command(cfg: TrainCfg) -> Path | None:
-    """Train as the command `renet train`, whose time budget counts from the command's start."""
+    """Train as the command `renet train`, whose time budget counts from the command's start.
+
+    Raises:
+        RenetError: As `train`; or the settings are of another task.
+    """
+    # What follows a setting such as `--agent.seed 3` is a value of it, for all that is known then.
+    if cfg.agent.task != cfg.task:
+        raise RenetError(
+            f"write the task first: renet train {cfg.task} …; the settings are those of "
+            f"{cfg.agent.task}"
+        )
     return train(cfg, STARTED)
 
 
