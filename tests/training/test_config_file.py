@@ -57,6 +57,15 @@ def test_a_task_yields_to_a_file_and_a_file_to_the_command_line(file):
     assert cfg.agent.algorithm.num_mini_batches == untouched
 
 
+def test_a_part_of_another_tasks_run_leaves_its_name_there(file):
+    part = {"agent": written(run_of(TASK, "--seed", "7"))["agent"]}
+    cfg = run_of("Renet-Go2-Flat", *file(part))
+    assert cfg.agent.seed == 7
+    assert cfg.task == cfg.agent.task == cfg.agent.experiment_name == "Renet-Go2-Flat"
+    part["agent"]["experiment_name"] = "mine"
+    assert run_of("Renet-Go2-Flat", *file(part)).agent.experiment_name == "mine"
+
+
 def test_schedules_and_lists_are_set(file):
     part = {
         "agent": {"algorithm": {"entropy": "0.01@1M,0.002@5M", "cost_budget": [0.1, 0.2, "1@5M"]}},

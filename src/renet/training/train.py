@@ -138,6 +138,11 @@ class TrainCfg(TrainOptions):
         # Not as an option of `train`, which would win over `--env.scene.num-envs`.
         if robots is not None:
             cfg.env.scene.num_envs = robots
+        # A file that a run of another task wrote names that task, and its folder.
+        names = {"task": cfg.task}
+        if cfg.agent.experiment_name == cfg.agent.task:
+            names["experiment_name"] = cfg.task
+        cfg.agent = replace(cfg.agent, **names)
         return cfg
 
     @classmethod
