@@ -11,7 +11,7 @@ from functools import partial
 from itertools import zip_longest
 from queue import Full, Queue
 from shutil import get_terminal_size
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -76,6 +76,30 @@ class Terminal:
             except (OSError, ValueError):
                 # The terminal is gone, or standard output is closed.
                 return
+
+
+class LastingOutput:
+    """Text file that drops what it cannot write, as when a terminal or a pipe's reader is gone.
+
+    With `renet train | tee LOG`, Ctrl-C ends `tee` first.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def write(self, text: str) -> int:
+        """Write a text, if the file takes it, and return its length."""
+        with suppress(OSError):
+            self._file.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is buffered, if the file takes it."""
+        with suppress(OSError):
+            self._file.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
 
 
 def encodable(text: str) -> str:

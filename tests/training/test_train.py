@@ -1,12 +1,15 @@
 """What `renet train` does around the loop: folders, settings, devices, stopping and going on."""
 
+import io
 import os
 import re
 import shutil
 import signal
+import sys
 import time
 from dataclasses import fields, replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import mjlab.scripts.train
 import pytest
@@ -255,6 +258,26 @@ def test_signal_stops_with_checkpoint(tmp_path, capsys, monkeypatch, number):
     run = newest.parents[1]
     said = f"Stopped at {newest}: renet train Renet-Go1-Flat --resume {run} goes on"
     assert said in capsys.readouterr().out.splitlines()
+
+
+def test_a_signal_that_ends_the_reader_too_leaves_a_checkpoint(tmp_path, monkeypatch):
+    """As Ctrl-C does with `renet train | tee LOG`."""
+    act, steps = training.RenetRunner._iterate, []
+
+    def iterate(self, *args):
+        steps.append(1)
+        if len(steps) == 2:
+            monkeypatch.setattr(shown, "write", Mock(side_effect=BrokenPipeError))
+            os.kill(os.getpid(), signal.SIGINT)
+        return act(self, *args)
+
+    shown = io.StringIO()
+    monkeypatch.setattr(sys, "stdout", shown)
+    monkeypatch.setattr(training.RenetRunner, "_iterate", iterate)
+    with pytest.raises(SystemExit) as stopped:
+        train(cfg(tmp_path, max_iterations=1000))
+    assert stopped.value.code == 128 + signal.SIGINT
+    assert checkpoints.find(tmp_path).name == "it_00000001"
 
 
 def test_second_signal_interrupts_at_once(tmp_path, monkeypatch):

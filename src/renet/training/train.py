@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Self, TextIO, cast
 
 import mjlab
 import torch
@@ -37,6 +37,7 @@ from renet.options import (
 from renet.settings_file import read_settings
 from renet.tasks import RenetEnvCfg, env_cfg, make_env
 from renet.tasks.terrains import add_own_ground
+from renet.terminal import LastingOutput
 from renet.terrain.own_ground import GroundFile
 from renet.training import checkpoint as checkpoints
 from renet.training.config import MOST_STEPS, RenetRunnerCfg, steps_per_env
@@ -393,11 +394,12 @@ def make_vec_env(cfg: TrainCfg, device: str, rank: int = 0) -> RslRlVecEnvWrappe
 def quiet(rank: int = 0) -> Iterator[Console]:
     """Context with a console on standard output, which hides all that mjlab and rsl_rl print.
 
-    On ranks above 0 the console prints nothing either.
+    On ranks above 0 the console prints nothing either. Where standard output cannot be written,
+    training goes on.
     """
     shown = sys.stdout
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
-        file = nowhere if rank else shown
+        file = cast(TextIO, LastingOutput(nowhere if rank else shown))
         yield Console(file=file, markup=False, highlight=False, soft_wrap=True)
 
 
