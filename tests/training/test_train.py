@@ -27,7 +27,7 @@ from renet.training import train as training
 from renet.training.checkpoint import Checkpoint
 from renet.training.config import RenetRunnerCfg
 from renet.training.provenance import restore, to_json
-from renet.training.runs import new_run, resumed_run
+from renet.training.runs import new_run, resumed_run, signals
 from renet.training.train import TrainCfg, resolve_device, train
 
 from ..forked import fork
@@ -237,7 +237,7 @@ def test_a_task_after_a_setting_is_told_to_come_first(finished):
         training.train_command(mixed)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signal_stops_with_checkpoint(tmp_path, capsys, monkeypatch, number):
     act, steps = training.RenetRunner._iterate, []
 
@@ -245,6 +245,8 @@ def test_signal_stops_with_checkpoint(tmp_path, capsys, monkeypatch, number):
         steps.append(1)
         if len(steps) == 2:
             os.kill(os.getpid(), number)
+            # A terminal that closes may tell twice, also after Ctrl-C.
+            os.kill(os.getpid(), signal.SIGHUP)
         return act(self, *args)
 
     monkeypatch.setattr(training.RenetRunner, "_iterate", iterate)
@@ -258,6 +260,19 @@ def test_signal_stops_with_checkpoint(tmp_path, capsys, monkeypatch, number):
     run = newest.parents[1]
     said = f"Stopped at {newest}: renet train Renet-Go1-Flat --resume {run} goes on"
     assert said in capsys.readouterr().out.splitlines()
+
+
+def test_a_run_below_nohup_outlives_its_terminal():
+    heard = []
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with signals(heard.append):
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    assert heard == []
 
 
 def test_a_signal_that_ends_the_reader_too_leaves_a_checkpoint(tmp_path, monkeypatch):

@@ -71,9 +71,11 @@ def new_run(root: Path | None, experiment: str, name: str) -> Path:
 
 @contextmanager
 def signals(stop: Callable[[int], None]) -> Iterator[None]:
-    """Context in which the first Ctrl-C or TERM calls `stop` with the signal's number.
+    """Context in which the first Ctrl-C, TERM or HUP calls `stop` with the signal's number.
 
-    The second signal acts as it does outside the context.
+    HUP is what a terminal sends that closes. Where it is ignored, as below `nohup`, it stays so.
+    A second signal acts as it does outside the context, except HUP, which a terminal may send more
+    than once: it is ignored from the first signal on.
     """
     # Python handles signals on the main thread alone.
     if threading.current_thread() is not threading.main_thread():
@@ -87,10 +89,13 @@ def signals(stop: Callable[[int], None]) -> Iterator[None]:
 
     def handle(number: int, _: Any) -> None:
         restore_handlers()
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
         stop(number)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         old_handlers[number] = signal.signal(number, handle)
+    if old_handlers[signal.SIGHUP] == signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         yield
     finally:

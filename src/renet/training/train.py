@@ -183,8 +183,8 @@ def train(cfg: TrainCfg, started: float | None = None) -> Path | None:
     """Train, and return the run's folder (None on ranks above 0).
 
     Under torchrun, or any launcher that sets RANK, LOCAL_RANK and WORLD_SIZE, each process trains
-    its own robots, and gradients are averaged. The first Ctrl-C or TERM stops training with a
-    checkpoint; the second one interrupts it at once.
+    its own robots, and gradients are averaged. The first Ctrl-C or TERM, or a terminal that closes,
+    stops training with a checkpoint; a second signal interrupts it at once.
 
     Args:
         cfg: Settings of the training.
