@@ -92,6 +92,14 @@ def test_older_checkpoint_branches_off(tmp_path):
     assert resumed_run(tmp_path / "checkpoints" / "best", None) is None
 
 
+@pytest.mark.parametrize("inside", [".", "checkpoints", "checkpoints/it_00000009"])
+def test_a_run_goes_on_from_within_its_folder(tmp_path, monkeypatch, inside):
+    run = tmp_path / "task" / "run"
+    checkpoints.save(Checkpoint({}, {}, {}), run / "checkpoints", 9, keep=9)
+    monkeypatch.chdir(run / inside)
+    assert resumed_run(checkpoints.find(Path()), None).resolve() == run
+
+
 def test_resumed_run_keeps_options(finished, tmp_path, capsys, monkeypatch):
     run = shutil.copytree(finished, tmp_path / "logs" / "Renet-Go1-Flat" / finished.name)
     options = ["--seed=3", "--env.scene.sensors.3.delay=(0.0,0.2)", "--max-iterations=2"]

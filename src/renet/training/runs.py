@@ -26,7 +26,12 @@ def resumed_run(checkpoint: Path | None, root: Path | None) -> Path | None:
         checkpoint: Folder of the checkpoint.
         root: Folder of all runs that the user chose by `--log-root`, or None.
     """
-    if checkpoint is None or checkpoint.parent.name != CHECKPOINTS:
+    if checkpoint is None:
+        return None
+    # From within the run a checkpoint may be given by its own name alone, or by a dot.
+    if checkpoint.parent.name != CHECKPOINTS:
+        checkpoint = checkpoint.absolute()
+    if checkpoint.parent.name != CHECKPOINTS:
         return None
     run = checkpoint.parent.parent
     if root is not None and run.resolve().parent.parent != root.resolve():
