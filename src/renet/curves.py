@@ -17,7 +17,8 @@ LEVEL = "Curriculum/level/"
 def read_curves(file: Path) -> dict[str, dict[int, float]]:
     """Read the curves of a run.
 
-    Of an iteration that a resumed run repeated, the last value counts. A row that a killed run left
+    A run that was resumed repeats the iterations after its checkpoint: those that were lost do not
+    count, also if it was stopped before it had repeated all of them. A row that a killed run left
     incomplete is skipped, and so are the zeros that a power failure may leave in a file.
 
     Returns:
@@ -27,13 +28,29 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
         RenetError: The file cannot be read.
     """
     curves: dict[str, dict[int, float]] = {}
+    newest = 0
     try:
         with file.open(newline="", errors="replace") as lines:
             text = (line.replace("\0", "") for line in lines)
             for row in csv.DictReader(text):
                 with suppress(KeyError, TypeError, ValueError):
-                    curves.setdefault(row["name"], {})[int(row["iteration"])] = float(row["value"])
+                    iteration = int(row["iteration"])
+                    value = float(row["value"])
+                    if iteration < newest:
+                        curves = _before(curves, iteration)
+                    newest = iteration
+                    curves.setdefault(row["name"], {})[iteration] = value
     except (OSError, ValueError, csv.Error) as error:
         # A null byte in the path is a ValueError.
         raise RenetError(f"cannot read the curves {file}: {obstacle(error, file)}") from error
     return curves
+
+
+def _before(curves: dict[str, dict[int, float]], end: int) -> dict[str, dict[int, float]]:
+    """Return the part of curves before an iteration, without curves that begin later."""
+    parts = {}
+    for name, values in curves.items():
+        kept = {iteration: value for iteration, value in values.items() if iteration < end}
+        if kept:
+            parts[name] = kept
+    return parts

@@ -35,6 +35,15 @@ def test_unwritable_curves_are_named(tmp_path, monkeypatch):
         CurvesWriter(str(tmp_path), "tensorboard", "")
 
 
+def test_iterations_that_a_kill_lost_leave_the_curves(tmp_path):
+    for iteration, value in [(1, 1.0), (2, 2.0), (3, 3.0), (4, 4.0), (2, 5.0)]:
+        write(tmp_path, value, iteration)
+    assert read_curves(tmp_path / CURVES) == {"Loss/value": {1: 1.0, 2: 5.0}}
+    for iteration in (2, 3):
+        write(tmp_path, 6.0, iteration)
+    assert read_curves(tmp_path / CURVES) == {"Loss/value": {1: 1.0, 2: 6.0, 3: 6.0}}
+
+
 def test_resumed_curves_replace_torn_rows(tmp_path):
     write(tmp_path, 1.0, 1)
     write(tmp_path, 2.0, 1)
