@@ -36,9 +36,12 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
                 with suppress(KeyError, TypeError, ValueError):
                     iteration = int(row["iteration"])
                     value = float(row["value"])
-                    if iteration < newest:
-                        curves = _before(curves, iteration)
-                    newest = iteration
+                    last = next(reversed(curves.get(row["name"], {})), -1)
+                    # A file may also have one curve after the other.
+                    if last >= iteration < newest:
+                        curves = _until(curves, iteration)
+                        newest = iteration
+                    newest = max(newest, iteration)
                     curves.setdefault(row["name"], {})[iteration] = value
     except (OSError, ValueError, csv.Error) as error:
         # A null byte in the path is a ValueError.
@@ -46,11 +49,11 @@ def read_curves(file: Path) -> dict[str, dict[int, float]]:
     return curves
 
 
-def _before(curves: dict[str, dict[int, float]], end: int) -> dict[str, dict[int, float]]:
-    """Return the part of curves before an iteration, without curves that begin later."""
+def _until(curves: dict[str, dict[int, float]], end: int) -> dict[str, dict[int, float]]:
+    """Return the part of curves up to an iteration, without curves that begin later."""
     parts = {}
     for name, values in curves.items():
-        kept = {iteration: value for iteration, value in values.items() if iteration < end}
+        kept = {iteration: value for iteration, value in values.items() if iteration <= end}
         if kept:
             parts[name] = kept
     return parts
