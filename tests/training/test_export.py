@@ -10,6 +10,7 @@ import torch
 
 from renet.bundle import pretrained
 from renet.bundle.graph import check_graph
+from renet.cli import parse
 from renet.errors import RenetError
 from renet.models.adaptation import fuse
 from renet.models.config import ModelCfg
@@ -19,6 +20,7 @@ from renet.models.renet import RENet
 from renet.options import ExportCfg
 from renet.training import checkpoint as checkpoints
 from renet.training.export import export, export_models
+from renet.training.train import TrainCfg
 
 from .test_ablations import ROWS
 
@@ -137,4 +139,20 @@ def test_robot_other_than_the_tasks_is_not_exported(tmp_path, place, value, what
     file.write_text(json.dumps(state))
     with pytest.raises(RenetError, match=what):
         export(ExportCfg(checkpoint=folder, out=tmp_path / "bundle"))
+    assert not (tmp_path / "bundle").exists()
+
+
+def test_a_task_of_another_program_is_told_as_such(tmp_path):
+    folder = tmp_path / "it_00000001"
+    shutil.copytree(checkpoints.find(pretrained("checkpoint")), folder)
+    state = json.loads((folder / "state.json").read_text())
+    state["task"] = "Renet-AlienGo-Flat"
+    (folder / "state.json").write_text(json.dumps(state))
+    message = (
+        "Renet-AlienGo-Flat is unknown here: run the program that registers it in place of renet"
+    )
+    with pytest.raises(RenetError, match=message):
+        export(ExportCfg(checkpoint=folder, out=tmp_path / "bundle"))
+    with pytest.raises(RenetError, match=message):
+        parse(TrainCfg, ["--resume", str(folder)], "renet train")
     assert not (tmp_path / "bundle").exists()

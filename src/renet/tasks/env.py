@@ -174,3 +174,18 @@ def env_cfg(task: str, play: bool = False) -> RenetEnvCfg:
     if not isinstance(cfg, RenetEnvCfg):
         raise RenetError(f"{task} is not a RENet task: it defines no constraint costs")
     return cfg
+
+
+def stored_env_cfg(task: str) -> RenetEnvCfg:
+    """Return the configuration of the task that a checkpoint states (see `env_cfg`).
+
+    Raises:
+        RenetError: There is no such task here: programs of users register tasks, too.
+    """
+    try:
+        return env_cfg(task)
+    except RenetError as error:
+        raise RenetError(
+            f"the checkpoint's task {task[:60]} is unknown here: run the program that registers it "
+            "in place of renet (docs/extend.md)"
+        ) from error

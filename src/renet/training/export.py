@@ -43,7 +43,7 @@ from renet.options import ExportCfg
 from renet.robots import GO1, Robot
 from renet.selector import SelectorSpec
 from renet.sim.depth.camera import DepthCameraCfg, DepthNoiseCfg
-from renet.tasks import env_cfg
+from renet.tasks import stored_env_cfg
 from renet.tasks.entity import ACTION_CLIP
 from renet.tasks.mdp.commands import COMMAND
 from renet.training import checkpoint as checkpoints
@@ -71,7 +71,8 @@ def export(cfg: ExportCfg) -> Path:
     """Export a checkpoint and return the bundle's folder.
 
     Raises:
-        RenetError: The folder is no checkpoint of RENet, or one of a changed robot or camera.
+        RenetError: The folder is no checkpoint of RENet, or one of a changed robot or camera, or of
+            a task that is not registered here.
     """
     path = checkpoints.find(cfg.checkpoint)
     model = load_networks(path)
@@ -87,7 +88,7 @@ def export(cfg: ExportCfg) -> Path:
         raise RenetError(f"{path} is not a checkpoint of RENet: its state lacks {error}") from error
     robot = GO1
     if provenance.task:
-        task = env_cfg(provenance.task)
+        task = stored_env_cfg(provenance.task)
         robot = task.robot
         _check_described(to_json(task), state["env"], path)
     selector = SelectorSpec(

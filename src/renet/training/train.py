@@ -35,7 +35,7 @@ from renet.options import (
     seconds,
 )
 from renet.settings_file import read_settings
-from renet.tasks import RenetEnvCfg, env_cfg, make_env
+from renet.tasks import RenetEnvCfg, env_cfg, make_env, stored_env_cfg
 from renet.tasks.terrains import add_own_ground
 from renet.terminal import LastingOutput
 from renet.terrain.own_ground import GroundFile
@@ -154,7 +154,12 @@ class TrainCfg(TrainOptions):
             state: The checkpoint's `state.json`.
             task: Id of the task, by default the checkpoint's. Of another task's checkpoint, only
                 the agent and the number of robots are restored.
+
+        Raises:
+            RenetError: The task is not registered here, or a setting cannot be restored.
         """
+        if not task:
+            stored_env_cfg(state["task"])
         cfg = cls.from_task(task or state["task"])
         stored = state["env"]
         if cfg.task != state["task"]:
