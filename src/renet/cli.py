@@ -23,6 +23,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from renet import __version__
 from renet.errors import RenetError, demand_name, install, obstacle, printable, reason, unknown_name
+from renet.program import remember_program
 
 HELP_ALL = "--help-all"
 """Option that also lists the settings of a task, for which PyTorch is loaded."""
@@ -226,6 +227,8 @@ COMMANDS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Run a command line and return the exit code, 2 for errors that the user can correct."""
+    if argv is None:
+        remember_program()
     arguments = sys.argv[1:] if argv is None else argv
     for stream in (sys.stdout, sys.stderr):
         # A terminal of ASCII shows ? in place of an arrow, which is no error.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from renet.training import films
 from renet.training.films import Films, filming
 
 
@@ -28,6 +29,12 @@ def save(run: Path, iteration: int) -> None:
 @pytest.fixture
 def said() -> list[str]:
     return []
+
+
+def test_the_program_that_has_the_task_films_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(films, "own_program", lambda: ["python", "add_robot.py"])
+    line = Films(tmp_path, 50, True, print).command(tmp_path / "it_00000050", tmp_path / "a.mp4")
+    assert list(line)[:4] == ["nice", "python", "add_robot.py", "play"]
 
 
 def test_each_round_of_iterations_has_one_film(tmp_path, said):

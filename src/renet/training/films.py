@@ -2,13 +2,13 @@
 
 import math
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from renet.errors import reason
+from renet.program import own_program
 from renet.training.checkpoint import checkpoints
 from renet.training.runner import CHECKPOINTS
 
@@ -71,7 +71,7 @@ class Films:
 
     def command(self, checkpoint: Path, film: Path) -> Sequence[str]:
         """Return the command line that films a checkpoint."""
-        play = ["nice", sys.executable, "-m", "renet", "play", str(checkpoint), "--out", str(film)]
+        play = ["nice", *own_program(), "play", str(checkpoint), "--out", str(film)]
         # The last option without values: no fault.
         robots = ["--modes", "camera", "blind", "--viewer", "none", "--fault"]
         return [*play, *self._ground, *robots]
