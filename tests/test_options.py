@@ -17,6 +17,7 @@ MISTAKES = {
     "train Renet-Go1-Flat --time-budget soon": "time budget 'soon' is not a duration",
     "train Renet-Go1-Flat --env.scene.x -3 --device tpu": "unknown device 'tpu'",
     "train Renet-Go1-Flat --num_envs 0": "environments must be at least 1",
+    "train Renet-Go1-Flat --seed 20261201030303": "seed must be from 0 to 2^32 - 1, got 20261",
     "train Renet-Go1-Flat --engine steam": "unknown --engine 'steam': choose one of auto, native",
     "train Renet-Go1-Flat --resume nowhere": "nothing to resume: nowhere does not exist",
     "train --resume latest": "write the task first",

@@ -148,12 +148,20 @@ class UsualOptions(TrainOptions):
             resumed_folder(self.resume, self.log_root, self.task)
         if self.num_envs is not None and self.num_envs < 1:
             raise RenetError(f"the number of environments must be at least 1, got {self.num_envs}")
+        check_seed(self.seed)
         if self.film_every < 0:
             raise RenetError(f"--film-every must not be negative, got {self.film_every}")
         seconds(self.time_budget)
         check_device(self.device)
         if self.scene is not None:
             check_scene(self.scene, self.scene_share, task)
+
+
+def check_seed(seed: int) -> None:
+    """Raise RenetError for a seed that a generator cannot take; mjlab draws one for -1."""
+    # NumPy's legacy generator takes no other seeds.
+    if not -1 <= seed < 2**32:
+        raise RenetError(f"seed must be from 0 to 2^32 - 1, got {seed}")
 
 
 def check_scene(scene: Path, share: float, task: str) -> None:

@@ -224,6 +224,12 @@ def test_an_episode_without_length_is_refused(seconds):
         replace(flat_env_cfg(), episode_length_s=seconds)
 
 
+@pytest.mark.parametrize("seed", [-2, 2**32])
+def test_a_seed_that_no_generator_takes_is_refused(seed):
+    with pytest.raises(RenetError, match=r"seed must be from 0 to 2\^32 - 1, got"):
+        make_env("Renet-Go1-Flat", 1, seed=seed)
+
+
 def test_an_environment_without_robots_is_refused():
     with pytest.raises(RenetError, match="at least 1"):
         make_env("Renet-Go1-Flat", 0)

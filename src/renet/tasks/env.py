@@ -18,6 +18,7 @@ from torch import Tensor
 
 from renet.errors import RenetError, unknown_name
 from renet.motor_models import find_motors
+from renet.options import check_seed
 from renet.robots import Robot
 from renet.sim.motors import Motors
 from renet.sim.native.engine import use_engine
@@ -142,6 +143,7 @@ def make_env(
     """
     if num_envs < 1:
         raise RenetError(f"the number of environments must be at least 1, got {num_envs}")
+    check_seed(seed)
     cfg = env_cfg(task) if isinstance(task, str) else deepcopy(task)
     for name, term in cfg.rewards.items():
         if not math.isfinite(term.weight):
