@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
-from itertools import groupby, takewhile
+from itertools import chain, groupby, takewhile
 from operator import attrgetter
 from pathlib import Path
 from types import FrameType
@@ -399,8 +399,9 @@ def _choices(kind: Any) -> tuple[str, ...]:
     parts = [part for part in get_args(kind) if part not in (type(None), ...)]
     if get_origin(kind) is Literal:
         return tuple(parts) if all(isinstance(name, str) for name in parts) else ()
-    # A tuple of names, or names or None.
-    return _choices(parts[0]) if len(parts) == 1 else ()
+    # A tuple of names, names or None, or names of two kinds.
+    choices = list(map(_choices, parts))
+    return tuple(chain(*choices)) if all(choices) else ()
 
 
 def _default(config: Any, arguments: list[str]) -> dict[str, Any]:

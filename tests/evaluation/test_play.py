@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from renet.bundle import Bundle, pretrained
+from renet.cli import main
 from renet.errors import RenetError
 from renet.evaluation import painter, video
 from renet.evaluation.env import trained_env_cfg
@@ -178,3 +179,8 @@ def test_a_bundle_of_a_robot_unknown_here_is_refused():
     other = replace(manifest, provenance=replace(manifest.provenance, task="Renet-Spot-Flat"))
     with pytest.raises(RenetError, match="Renet-Spot-Flat is unknown here: start from the file"):
         trained_env_cfg(other)
+
+
+def test_a_ground_that_is_mistyped_is_told_with_the_nearest_one(capsys):
+    assert main(["play", "--terrain", "gab"]) == 2
+    assert capsys.readouterr().err == "renet: unknown --terrain 'gab': did you mean gap?\n"
