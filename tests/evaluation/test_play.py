@@ -182,5 +182,5 @@ def test_a_bundle_of_a_robot_unknown_here_is_refused():
 
 
 def test_a_ground_that_is_mistyped_is_told_with_the_nearest_one(capsys):
-    assert main(["play", "--terrain", "gab"]) == 2
-    assert capsys.readouterr().err == "renet: unknown --terrain 'gab': did you mean gap?\n"
+    assert main(["play", "--terrain", "stiars"]) == 2
+    assert capsys.readouterr().err == "renet: unknown --terrain 'stiars': did you mean stairs?\n"
