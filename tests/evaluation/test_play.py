@@ -164,6 +164,15 @@ def test_a_robot_without_visual_meshes_is_seen(name, monkeypatch):
     assert 0.02 < 1.0 - view.ground.mean() < 0.5
 
 
+@pytest.mark.filterwarnings("error:MULTICCD is enabled")
+def test_ground_of_heights_is_drawn_without_a_word(monkeypatch):
+    monkeypatch.setattr(painter, "PANEL", (96, 72))
+    spec = mujoco.MjSpec.from_file(str(GO1.mjcf))
+    spec.add_hfield(name="rough", size=[5, 5, 0.1, 0.1], nrow=2, ncol=2, userdata=np.zeros(4))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="rough")
+    painter.Painter(spec, spec.compile().qpos0[None])
+
+
 def test_a_checkpoint_becomes_a_bundle_for_as_long_as_it_is_open():
     with bundle_folder(CHECKPOINT) as folder:
         assert folder is not None

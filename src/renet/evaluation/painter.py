@@ -1,5 +1,6 @@
 """Pictures of robots without OpenGL, by MuJoCo Warp's ray tracer, on a CPU or a GPU."""
 
+import warnings
 from itertools import starmap
 from typing import NamedTuple
 
@@ -85,7 +86,8 @@ class Painter:
         """Axes of each camera, as columns, [R, 3, 3]."""
         # A robot without visual meshes is drawn by its collision geoms, MuJoCo's group 3.
         meshes = (model.geom_group[~self._ground] < 3).any()
-        with wp.ScopedDevice("cpu"):
+        # MuJoCo Warp warns of contacts with height fields, of which pictures have none.
+        with wp.ScopedDevice("cpu"), warnings.catch_warnings(action="ignore"):
             self._warp_model = mjw.put_model(model)
             self._data = mjw.put_data(model, self._host, nworld=len(starts))
             self._context = mjw.create_render_context(
