@@ -113,10 +113,12 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     """Measure β and the monitors' thresholds, write them to the manifest and return β.
 
     Raises:
-        RenetError: A bundle or a log cannot be used, or the policy never succeeds.
+        RenetError: A bundle or a log cannot be used, options contradict each other, or the policy
+            never succeeds.
     """
     if cfg.log and cfg.images:
         raise RenetError("give --log or --images, not both")
+    _refuse_unused(cfg)
     _refuse_shipped(cfg.bundle)
     if not cfg.log and not cfg.images:
         return _calibrate_simulated(cfg)
@@ -132,6 +134,15 @@ def run_calibrate(cfg: CalibrateCfg) -> float:
     calibration = _calibrate_monitors(cfg, bundle, series, {})
     _leave_out_blunt(calibration.thresholds)
     return _store(cfg, bundle, series, calibration, (unchanged, spec.longest_memory))
+
+
+def _refuse_unused(cfg: CalibrateCfg) -> None:
+    """Raise RenetError for settings of images without images."""
+    if cfg.images:
+        return
+    for name in ("scale", "lens", "rotate"):
+        if getattr(cfg, name) != getattr(CalibrateCfg, name):
+            raise RenetError(f"--{name} is about the images of --images FOLDER: give them, too")
 
 
 def _refuse_shipped(bundle: Path) -> None:

@@ -11,6 +11,7 @@ from renet.bundle import DEFAULT, Bundle, pretrained, read_manifest
 from renet.deploy.recording import calibration_images
 from renet.deploy.recording.calibration_images import OF_IMAGES, image_scores
 from renet.errors import RenetError
+from renet.evaluation import calibrate
 from renet.evaluation.calibrate import CalibrateCfg, run_calibrate
 
 COUNT = 40
@@ -126,3 +127,15 @@ def test_what_is_wrong_is_named_and_the_bundle_stays(folder, tmp_path, spoil, op
     with pytest.raises(RenetError, match=message):
         run_calibrate(CalibrateCfg(bundle, **({"images": folder} | options)))
     assert (bundle / "manifest.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "options", [{"lens": (30.0, 30.0, 32.0, 24.0)}, {"rotate": 180}, {"scale": 0.00025}]
+)
+def test_a_camera_without_images_calibrates_nothing(tmp_path, monkeypatch, options):
+    """It was forgotten to name them: simulated walks would set thresholds instead."""
+    monkeypatch.setattr(calibrate, "_calibrate_simulated", lambda cfg: pytest.fail("it walks"))
+    bundle = Path(shutil.copytree(pretrained(DEFAULT), tmp_path / "bundle"))
+    (name,) = options
+    with pytest.raises(RenetError, match=f"--{name} is about the images of --images FOLDER"):
+        run_calibrate(CalibrateCfg(bundle, **options))
