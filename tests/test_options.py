@@ -6,7 +6,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from renet import options
+from renet import options, plug_ins
 from renet.errors import RenetError
 from renet.options import TASK, UsualOptions, check_task
 
@@ -56,12 +56,12 @@ def bare(monkeypatch) -> None:
 
 @pytest.mark.usefixtures("bare")
 def test_a_task_that_a_plug_in_may_register_is_left_to_it(monkeypatch):
-    ours = EntryPoint("renet", options.REGISTRY, options.PLUG_INS)
+    ours = EntryPoint("renet", plug_ins.REGISTRY, plug_ins.TASKS)
     monkeypatch.setattr(options, "entry_points", lambda group: [ours])
     with pytest.raises(RenetError, match="unknown task 'My-Robot'"):
         check_task("My-Robot")
     check_task("Mjlab-Velocity-Flat-Unitree-Go1")  # Which says what it lacks.
-    theirs = EntryPoint("mine", "my_package.tasks", options.PLUG_INS)
+    theirs = EntryPoint("mine", "my_package.tasks", plug_ins.TASKS)
     monkeypatch.setattr(options, "entry_points", lambda group: [ours, theirs])
     check_task("My-Robot")
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import tyro
 
+from renet import plug_ins
 from renet.errors import RenetError, demand_name
 from renet.interface import Engine
 from renet.settings_file import read_settings
@@ -28,10 +29,6 @@ FLAT_TASKS = tuple(task for task in TASKS if task.endswith("-Flat"))
 NO_TILES = "the task has no tiles to put a scene among: train a Parkour task"
 """Message about a scene for a task on a plane."""
 TASK = TASKS[0]
-PLUG_INS = "mjlab.tasks"
-"""Group of entry points under which packages register tasks."""
-REGISTRY = "renet.registry"
-"""renet's own entry point there."""
 STARTED = time.monotonic()
 """Time of the monotonic clock at which this module was loaded, the first of a command, s."""
 LATEST = "latest"
@@ -181,7 +178,7 @@ def check_share(share: float) -> None:
 
 def check_task(task: str) -> None:
     """Raise RenetError for a task that neither renet nor a plug-in can have registered."""
-    others = [plug_in for plug_in in entry_points(group=PLUG_INS) if plug_in.value != REGISTRY]
+    others = [p for p in entry_points(group=plug_ins.TASKS) if p.value != plug_ins.REGISTRY]
     # Once mjlab is loaded, a program may have registered a task by itself.
     if not (others or "mjlab" in sys.modules or task.startswith("Mjlab-")):
         demand_name("task", task, TASKS)

@@ -12,6 +12,7 @@ from renet.errors import RenetError
 from renet.identification.identify import IdentifyCfg, look_up_robot, root_mean_squares
 from renet.interface import JOINTS
 from renet.motors import PARAMETERS, read_motors
+from renet.robots import robot
 
 from ..hostile.files import messages, recording
 from .conftest import MOTORS, named, write_csv
@@ -143,6 +144,23 @@ def test_a_recording_of_another_robot_is_refused(tmp_path, capsys):
     log.write_bytes(recording([(Topic.RUN, b'{"robot": "mujoco"}')], messages(rows)))
     assert main(arguments) == 2
     assert "the log has 0.2 s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("group", ["renet.robots", "mjlab.tasks"])
+def test_a_robot_of_another_package_is_known(tmp_path, monkeypatch, capsys, group):
+    info = tmp_path / "mine-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[{group}]\nmine = described\n")
+    described = "from dataclasses import replace\nfrom renet.robots import GO2, register_robot\n"
+    described += "register_robot(replace(GO2, name='My dog'))\n"
+    (tmp_path / "described.py").write_text(described)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "described", raising=False)
+    monkeypatch.setitem(robot._ROBOTS, "My dog", None)  # Taken out again at the end.
+    del robot._ROBOTS["My dog"]
+    assert main(["identify", str(tmp_path / "no.csv"), "--robot", "dog"]) == 2
+    assert "no.csv" in capsys.readouterr().err
 
 
 def test_robots_by_name():

@@ -2,16 +2,14 @@
 
 import argparse
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from renet import __version__
+from renet import __version__, plug_ins
 from renet.bundle import Bundle
 from renet.bundle.models import remembers
 from renet.deploy.cameras.base import CameraCfg
@@ -22,10 +20,8 @@ from renet.deploy.teleop.base import TeleopCfg
 from renet.errors import RenetError, collected, demand_name, demand_none
 from renet.faults import Injection, parse_fault
 from renet.interface import CONTROL_DT, MAX_SPEED, OWN_GROUND, PilotMode, Unseen
+from renet.plug_ins import load_plug_ins
 
-ENTRY_POINTS = "renet.robots"
-"""Group of entry points: modules of other packages, which add robots, cameras and operators to the
-tables of `catalogue`."""
 UNSTEERED_SECONDS = 15.0
 """Length of a run that nobody steers, s."""
 DEADMAN = 5.0
@@ -107,12 +103,7 @@ class DeployCfg:
 
         They decide which options the rest of the command line may hold.
         """
-        for entry in entry_points(group=ENTRY_POINTS):
-            try:
-                entry.load()
-            # This run may not need the package that fails.
-            except Exception as error:
-                print(f"renet: cannot use {entry.value}: {error}", file=sys.stderr)
+        load_plug_ins(plug_ins.ROBOTS)
         parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
         for name in ("robot", "camera", "teleop"):
             parser.add_argument(f"--{name}", nargs="?", default=argparse.SUPPRESS)

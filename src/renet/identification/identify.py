@@ -5,6 +5,7 @@ import os
 import shlex
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
+from renet import plug_ins
 from renet.errors import RenetError, unknown_name
 from renet.identification.fit import (
     KIND_INDEX,
@@ -28,6 +30,7 @@ from renet.identification.motion_log import CsvCfg, MotionLog, read_motion_log
 from renet.identification.replay import SuspendedRobot
 from renet.interface import JOINTS
 from renet.motors import KINDS, PARAMETERS, MotorFit, MotorParameters, write_motors
+from renet.plug_ins import load_plug_ins
 from renet.robots import Robot, robots
 from renet.terminal import show
 from renet.version import code_version
@@ -79,7 +82,7 @@ def identify(cfg: IdentifyCfg) -> Path:
         RenetError: The log cannot be used or is of another robot, the robot is unknown, or the file
             cannot be written.
     """
-    description = look_up_robot(cfg.robot)
+    description = _describe(cfg.robot)
     _check_out(cfg.out)
     log = read_motion_log(cfg.log, cfg.csv)
     _check_robot(description, log)
@@ -100,6 +103,15 @@ def identify(cfg: IdentifyCfg) -> Path:
     write_motors(cfg.out, MotorFit(description.name, motors, evidence))
     _show(names, fit, evidence)
     return cfg.out
+
+
+def _describe(name: str) -> Robot:
+    """Find the description of a robot (see `look_up_robot`), also in other packages."""
+    with suppress(RenetError):
+        return look_up_robot(name)
+    for group in (plug_ins.ROBOTS, plug_ins.TASKS):
+        load_plug_ins(group)
+    return look_up_robot(name)
 
 
 def look_up_robot(name: str) -> Robot:
