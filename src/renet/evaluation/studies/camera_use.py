@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from matplotlib.font_manager import FontProperties
 from scipy.stats import binomtest, fisher_exact
 
 from renet.errors import RenetError
@@ -169,7 +170,7 @@ class CameraUseStudy(LevelStudy):
         figure.set_figheight(figure.get_figheight() + 1.4)
         # matplotlib would draw a title of the figure over the legend.
         (legend,) = figure.legends
-        legend.set_title(textwrap.fill(summary["sentence"], 72), prop={"size": 9})
+        legend.set_title(textwrap.fill(summary["sentence"], 72), prop=FontProperties(size=9))
         return {"camera_use.png": figure}
 
     def tables(self, summary: dict[str, Any]) -> list[Table]:
