@@ -37,7 +37,7 @@ def test_sections_begin_where_the_last_one_ends():
     ("settings", "message"),
     [
         ({"modes": ()}, "modes none"),
-        ({"modes": ("memory", "memory")}, "once each"),
+        ({"modes": ("memory", "memory")}, "modes has memory more than once"),
         ({"modes": ("memory",), "film": Path("lap.webp")}, "two modes side by side"),
         ({"film": Path("lap.mp4")}, "give --film lap.webp"),
     ],
